@@ -5,8 +5,8 @@
     python -m benchmarks.many_contacts strips plates --method clarabel
     python -m benchmarks.many_contacts --processor              # beside other work, with one thread
 
-    membranes   a square grid under a pressure that pushes it against a plate at three heights, so that 2, a quarter
-                and three quarters of its nodes are in contact
+    membranes   a square grid under a pressure that pushes it against a plate at three heights, so that 5, 40 and 90 %
+                of its nodes are in contact
     strips      a thousand contacts along a strip of quadrilaterals, pressed onto a parabola until 28 % or all are
                 closed, without friction and with mu = 0.05, 0.3 and 1
     plates      a plate of hexahedra, 10 201 contacts beneath it, pressed onto a paraboloid
@@ -17,15 +17,22 @@ Each is a fresh problem, solved once by `cq.solve` with its certificate, after a
 linear solve is one factorisation of K by PARDISO, or SuperLU where that is not installed, and one back-substitution;
 with ties it is that of K and the ties together, which is what the bodies would cost without contact. It is taken twice,
 and the faster counts. Threads are those of the environment, which the first line states.
+
+Membranes are solved in processes of their own, and the memory of each is that by which its largest exceeds what it had
+before the problem was made, over that of a process with the linear solve alone. At the end of them the exponents x of
+seconds ~ unknowns^x are fitted, of all from 10 000 nodes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import resource
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -40,8 +47,9 @@ from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.sparse_saddle import REGULARISATIONS, SparseSaddle
 
-HEIGHTS = (0.068, 0.03, 0.0025)
-SIDES = (40, 70, 100, 200, 400)
+HEIGHTS = (0.0585, 0.0165, 0.0005)
+SIDES = (100, 200, 400)
+FITTED = 10_000  # nodes of the smallest whose seconds are fitted
 MATERIAL = Material(1.0, 0.3)
 # How far a strip is pressed down until 28 % of its contacts, and all of them, are closed.
 PRESSED = (0.002, 0.05)
@@ -122,8 +130,8 @@ def linear_solve(problem: cq.ContactProblem, clock: Clock = time.perf_counter) -
     return clock() - started
 
 
-def measure(problem: cq.ContactProblem, method: str, clock: Clock) -> str:
-    """Solve it, and say what that took."""
+def measure(problem: cq.ContactProblem, method: str, clock: Clock) -> tuple[str, float]:
+    """Solve it, and say what that took, in words and in seconds."""
     # Of fresh problems: an order of elimination that one of them finds is not known to the others.
     linear = min(linear_solve(problem.replace(stiffness=problem.stiffness), clock) for _ in range(2))
     started = clock()
@@ -131,23 +139,71 @@ def measure(problem: cq.ContactProblem, method: str, clock: Clock) -> str:
     seconds = clock() - started
     certificate, work = solution.certificate, solution.work
     verdict = "proven" if certificate.proven else f"passed by {certificate.basis}"
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     closed = np.mean(solution.normal_force > 0) if problem.contacts else 0.0
     sizes = f"{problem.dimension:8d} unknowns, {problem.contacts:6d} contacts, {closed:4.0%} closed"
     cost = f"{seconds:7.2f} s, {seconds / linear:5.1f} linear solves of {linear:.3f} s"
-    return f"{sizes}: {cost}, {verdict}, {work.factorisations} factorisations, {memory:.2f} GiB so far"
+    return f"{sizes}: {cost}, {verdict}, {work.factorisations} factorisations", seconds
+
+
+def largest_memory(forget: bool = False) -> float:
+    """The largest memory that this process has had [GiB], since it was forgotten where the system can forget it."""
+    status = Path("/proc/self/status")  # what a process inherits from the one that began it is not in there
+    if forget and status.exists():
+        status.with_name("clear_refs").write_text("5")
+    lines = status.read_text().splitlines() if status.exists() else []
+    kibibytes = [int(line.split()[1]) for line in lines if line.startswith("VmHWM:")]
+    return (kibibytes or [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss])[0] / 2**20
+
+
+def of_membrane(side: int, height: float, method: str, processor: bool) -> tuple[str, float, float]:
+    """What a membrane, or as "linear" its linear solve alone, takes in words, in seconds and of memory [GiB]."""
+    clock = time.process_time if processor else time.perf_counter
+    small = membrane(50, HEIGHTS[1])
+    linear_solve(small)
+    if method != "linear":
+        cq.solve(small)
+    before = largest_memory(forget=True)
+    problem = membrane(side, height)
+    said, seconds = ("", linear_solve(problem, clock)) if method == "linear" else measure(problem, method, clock)
+    return said, seconds, largest_memory() - before
+
+
+def membranes(sides: list[int], method: str, processor: bool) -> None:
+    """A row for each membrane, with its memory over that of the linear problem, and the exponents of the seconds."""
+    context = multiprocessing.get_context("spawn")
+
+    def apart(side: int, height: float, method: str) -> tuple[str, float, float]:
+        with ProcessPoolExecutor(1, mp_context=context) as pool:
+            return pool.submit(of_membrane, side, height, method, processor).result()
+
+    seconds: dict[float, list[tuple[int, float]]] = {height: [] for height in HEIGHTS}
+    for side in sides:
+        linear = apart(side, HEIGHTS[0], "linear")[2]
+        for height in HEIGHTS:
+            said, taken, memory = apart(side, height, method)
+            seconds[height].append((side * side, taken))
+            name = f"membrane {side} x {side}"
+            print(f"{name:24s}{said}, {memory:.2f} GiB, {memory / linear:.1f} of the linear problem's", flush=True)
+    for height, taken in seconds.items():
+        points = [(np.log(nodes), np.log(second)) for nodes, second in taken if nodes >= FITTED]
+        if len(points) > 1:
+            exponent = np.polyfit(*np.array(points).T, 1)[0]
+            print(f"membranes, plate at {height:g}: seconds as unknowns to the power of {exponent:.2f}")
+
+
+def warm_up() -> None:
+    """Solve small problems, so that what is needed is loaded."""
+    for small in (membrane(50, HEIGHTS[1]), strip(PRESSED[0], 0.3, 400)):
+        linear_solve(small)
+        cq.solve(small)
 
 
 Named = tuple[str, Callable[[], cq.ContactProblem]]
 
 
-def chosen(kind: str, sides: list[int]) -> Iterator[Named]:
+def chosen(kind: str) -> Iterator[Named]:
     """The problems of one kind, each made when it is asked for."""
-    if kind == "membranes":
-        for side in sides:
-            for height in HEIGHTS:
-                yield f"membrane {side} x {side}", lambda side=side, height=height: membrane(side, height)
-    elif kind == "strips":
+    if kind == "strips":
         for pressed in PRESSED:
             for friction in FRICTION:
                 name = "strip" if friction is None else f"strip, mu = {friction:g}"
@@ -177,12 +233,13 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"no kind is called {unknown.pop()!r}; expected {', '.join(KINDS)}")
     clock = time.process_time if asked.processor else time.perf_counter
     print(f"# {asked.method}; {os.environ.get('OMP_NUM_THREADS', 'all')} threads{'; processor' * asked.processor}")
-    for small in (membrane(50, HEIGHTS[1]), strip(PRESSED[0], 0.3, 400)):
-        linear_solve(small)
-        cq.solve(small)
     for kind in asked.kinds or KINDS:
-        for name, make in chosen(kind, asked.sides):
-            print(f"{name:24s}{measure(make(), asked.method, clock)}", flush=True)
+        if kind == "membranes":
+            membranes(asked.sides, asked.method, asked.processor)
+            continue
+        warm_up()
+        for name, make in chosen(kind):
+            print(f"{name:24s}{measure(make(), asked.method, clock)[0]}, {largest_memory():.2f} GiB so far", flush=True)
 
 
 if __name__ == "__main__":

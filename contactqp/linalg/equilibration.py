@@ -110,8 +110,10 @@ def _loaded(
     length = force = _near(max(imposed, _size(load)))
     if mostly_bare(problem):
         stiffest = _size(twin.stiffness_rows.data)
-        moved = NO_LENGTH * _size(load) / stiffest if stiffest > 0 else 0.0  # what is imposed may be rounding of zero
-        length = _near(max(imposed, moved) or _size(np.where(np.isfinite(gap), gap, 0.0)))
+        moved = _size(load) / stiffest if stiffest > 0 else 0.0
+        # What is imposed may be rounding of zero; in units of that K would be less than what regularises it.
+        reached = imposed if imposed > NO_LENGTH * moved else moved
+        length = _near(reached or _size(np.where(np.isfinite(gap), gap, 0.0)))
         force = _near(max(_size(load), length * stiffest))
         twin = of_stiffness_times(problem, twin, length / force)
     twin = twin.replace(gap=gap / length, tie_value=value / length)

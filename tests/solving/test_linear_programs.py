@@ -170,3 +170,28 @@ def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: fl
         cq.solve(program)
     balanced = np.where(np.arange(11) == 9, 0.0, costs)
     assert cq.solve(program.replace(load=-balanced * units)).certificate.passed
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: int) -> None:
+    """Circulations within 1e5: in lengths of 1e-6 their few stiff arcs yielded as if they had no stiffness."""
+    rng, nodes, arcs = np.random.default_rng(seed), 30, 150
+    tail = rng.integers(0, nodes, arcs)
+    head = (tail + rng.integers(1, nodes, arcs)) % nodes
+    incidence = sp.csr_matrix((np.ones(arcs), (tail, np.arange(arcs))), (nodes, arcs))
+    incidence = incidence - sp.csr_matrix((np.ones(arcs), (head, np.arange(arcs))), (nodes, arcs))
+    stiff = rng.choice(arcs, 12, replace=False)
+    P, cost = np.zeros(arcs), -rng.integers(0, 8, arcs).astype(float)
+    P[stiff] = rng.integers(1, 9, 12) / 4.0
+    capacity = rng.integers(1, 100, arcs) * 1000.0
+    program = cq.ContactProblem.from_qp(
+        sp.diags(P), cost, A=incidence, b=np.zeros(nodes), lb=np.zeros(arcs), ub=capacity
+    )
+    scaling = equilibrated(program)[1]
+    assert scaling.length * np.max(scaling.unknowns) > 1e-3
+    solution = cq.solve(program)
+    assert solution.certificate.proven
+    lower, upper = solution.certificate.energy_bounds
+    assert upper - lower <= 1e-14 * abs(lower)
+    raw = cq.solve(program, "clarabel").raw
+    assert solution.energy == pytest.approx(program.energy(raw.displacement), rel=1e-7)
