@@ -254,7 +254,13 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
 
 
 def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, effort: Effort) -> ClosedState:
-    """Return the solution that the contacts of an answer lead to where rows nearly depend, or what failed before."""
+    """Return the solution that the contacts of an answer lead to where rows nearly depend, or what failed before.
+
+    Parameters
+    ----------
+    problem, answer, effort : as in `settled`
+    failed : the state that other ways have led to
+    """
     effort.pivots = True
     state = nearest_state(problem, _closed_in(problem, answer), start := ExtendedAnswer.of(answer), effort)
     if not state.holds:
