@@ -182,14 +182,14 @@ def searched_set(problem: ContactProblem, condensation: Condensation) -> Indices
     return np.flatnonzero(force[: problem.contacts] > 0) if ended else None
 
 
-def without_tension(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> tuple[Extended, Extended]:
+def without_tension(problem: ContactProblem, condensation: Condensation, force: Extended) -> tuple[Extended, Extended]:
     """Return the change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
 
     On a body that floats the forces that stay must balance without it: those that push change by the least that does.
     With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
     Where nothing that pushes can take the part of a tension, this is the rounding of a load that balances to rounding.
     """
-    force, push = on_set.normal_force, on_set.doubles.normal_force
+    push = force.double()
     dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
     Z, acting = condensation.rigid.motions, np.flatnonzero(push > 0)
     if not (Z.shape[1] and dropped.hi.any()):

@@ -24,7 +24,9 @@ from contactqp.linalg.dense import RigidMotions, SaddlePoint
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, outer_forces, rigid_part, untouched
+from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -45,6 +47,12 @@ ACTING = 1e-6
 # HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
 # formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
 LP_TOLERANCES = (1e-10, 1e-7)
+# Rows of unit compliance whose combination is this part of them depend on each other.
+DEPENDENT_ROWS = 1e-10
+# Up to so many contacts that touch and ties their dependence is looked at, in dense matrices.
+MOST_SHARING = 1000
+# A force that is negative by this part of the largest pulls; what is less is of the answer's rounding.
+PULLS = 1e-3
 
 
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
@@ -281,3 +289,39 @@ def _worst_direction(basis: Array, weight: Vector) -> Vector:
         if answer.x is not None:
             return np.asarray(answer.x[:width])
     raise ArithmeticError(f"the balance of forces could not be judged: {answer.message}")
+
+
+def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius: float) -> tuple[Extended, Extended]:
+    """Return the solution's forces of contacts (m,) and ties (k,) that are nearest to an answer's.
+
+    Contacts that touch and ties that depend on each other share their forces in many ways, with one R'y, R their rows
+    of unit compliance and y their forces over the weights of the rows. Of the answer's y less the solution's, d,
+    R'^+ R'd is left: what no other sharing makes. The nearest may pull by the rounding of the answer. The forces that
+    were found are returned where those would pull by more, where no rows depend on others, and of very many rows.
+
+    Parameters
+    ----------
+    answer : the answer that is judged
+    condensation : that of its problem
+    on_set : the solution, up to `radius`
+    radius : float [square root of energy]
+    """
+    forces, m = (on_set.normal_force, on_set.tie_force), len(answer.normal_force)
+    compliance = condensation.delassus.compliance
+    untold = np.maximum(WITHIN_ROUNDING * on_set.lengths, radius * np.sqrt(compliance[:m]))
+    touching = np.flatnonzero(on_set.gaps <= untold)
+    count = len(touching)
+    if count + len(answer.tie_force) > MOST_SHARING:
+        return forces
+    weight = 1.0 / np.sqrt(np.concatenate([compliance[touching], compliance[m:]]))
+    rows = (np.vstack([condensation.normal[touching], condensation.tie]) * weight[:, None]).T
+    apart = extend(answer.normal_force) - forces[0], extend(answer.tie_force) - forces[1]
+    difference = np.concatenate([apart[0].double()[touching], apart[1].double()]) / weight
+    left, _, rank, _ = np.linalg.lstsq(rows, rows @ difference, rcond=DEPENDENT_ROWS)
+    if rank == len(weight):
+        return forces
+    change = (difference - left) * weight
+    force = forces[0].added_at(touching, change[:count])
+    if np.any(force.hi < -PULLS * np.max(abs(force.hi), initial=0.0)):
+        return forces
+    return force, forces[1] + change[count:]

@@ -60,7 +60,7 @@ from contactqp.certificate.admissible_pair import (
     searched_set,
     without_tension,
 )
-from contactqp.certificate.balance import free_distance, shared_by_rounding, strain_of, strain_of_rigid_part
+from contactqp.certificate.balance import free_distance, nearest_to, shared_by_rounding, strain_of, strain_of_rigid_part
 from contactqp.certificate.figures import (
     CONTRACTION,
     FEW_DIGITS,
@@ -76,12 +76,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, Residuals, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import (
-    force_size,
-    lengths_that_meet,
-    own_compliance,
-    parts,
-)
+from contactqp.linalg.measures import force_size, lengths_that_meet, own_compliance, parts
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -261,13 +256,16 @@ def _holding(
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
     """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
     force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
-    if (force.hi < 0).any():
-        dropped, tie_change = without_tension(problem, condensation, on_set)
-        undecided += sum(force_norm(problem, condensation, dropped))
-        force, tie_force = force + dropped, tie_force + tie_change
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
+    if problem.ties:  # of the forces of rows that depend on each other
+        force, tie_force = nearest_to(answer, condensation, on_set, allowance)
+    if (force.hi < 0).any():
+        dropped, tie_change = without_tension(problem, condensation, force)
+        pulled = sum(force_norm(problem, condensation, dropped))
+        undecided, allowance = undecided + pulled, allowance + pulled
+        force, tie_force = force + dropped, tie_force + tie_change
     return AdmissiblePair(
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,

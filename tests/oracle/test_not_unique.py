@@ -132,3 +132,42 @@ def test_a_block_too_heavy_for_its_walls_that_are_apart() -> None:
     block = cq.ContactProblem(np.diag([1.0, 0.0]), [0.0, 1.0], [[1.0, 0.0]], [1.0], [[0.0, 1.0]], 0.5)
     with pytest.raises(cq.NoEquilibrium, match=r"proven|no contact or tie holds"):
         cq.exact(block)
+
+
+@pytest.mark.parametrize("taken", [1.0, 0.0, -2.0])
+def test_every_share_of_a_force_between_contacts_and_a_tie_is_right(taken: float) -> None:
+    """Two stops and the tie u1 + u2 = 0 hold a node at 0: l_1 + nu = 3, l_2 + nu = 1, so any nu up to 1 is right."""
+    node = cq.ContactProblem(
+        [[2.0, 1.0], [1.0, 3.0]], [3.0, 1.0], np.eye(2), [0.0, 0.0], tie=[[1.0, 1.0]], tie_value=[0.0]
+    )
+    right = np.array([3.0 - taken, 1.0 - taken])
+    judged = cq.certify(node, [0.0, 0.0], right, None, [taken])
+    assert judged.proven
+    assert judged.passed
+    assert judged.force_error < 1e-12
+    pulling = cq.certify(node, [0.0, 0.0], [1.5, -0.5], None, [1.5])
+    assert not pulling.passed
+    assert pulling.force_error > 0.1
+    for wrong in (*(right + 1e-5 * np.eye(2)), right[::-1]):
+        assert not cq.certify(node, [0.0, 0.0], wrong, None, [taken]).passed
+    printed = right * [1 + 1e-6, 1 - 1e-6]
+    assert cq.certify(node, [0.0, 0.0], printed, None, [taken], 1e-5, 1e-4).passed
+
+
+def test_exact_forces_of_programs_with_dependent_rows_and_ties_are_right() -> None:
+    """Whole numbers: f is made of u, l and nu, which are therefore an answer; no other is known beforehand."""
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        n, m = int(rng.integers(2, 6)), int(rng.integers(3, 9))
+        B, rows, tie = rng.integers(-3, 4, (n, n)), rng.integers(-2, 3, (m, n)), rng.integers(-2, 3, (1, n))
+        rows[:, 0] += ~rows.any(axis=1)
+        tie[:, 0] += ~tie.any(axis=1)
+        K, u, touches = B @ B.T + np.eye(n), rng.integers(-3, 4, n).astype(float), rng.random(m) < 0.8
+        force, held = np.where(touches, rng.integers(0, 4, m), 0).astype(float), np.array([2.0])
+        load = K @ u + rows.T @ force + tie.T @ held
+        gap = rows @ u + np.where(touches, 0, rng.integers(1, 4, m))
+        problem = cq.ContactProblem(K, load, rows, gap, tie=tie, tie_value=tie @ u)
+        assert cq.certify(problem, u, force, None, held).passed
+        if force.any():
+            assert not cq.certify(problem, u, -force, None, held).passed
+            assert not cq.certify(problem, u, np.where(force == force.max(), 1.001, 1.0) * force, None, held).passed
