@@ -33,8 +33,8 @@ LARGEST, FAR, SAME = 24, 1e-9, 1e-9
 # Powers of two near 1e-9, 1 and 1e9.
 UNITS = (2.0**-30, 1.0, 2.0**30)
 QUANTITIES = ("displacement", "normal_force", "gap", "reaction", "energy", "tie_force", "friction_force", "slip")
-# Steps that are further than this many lengths of a direction are none to rounding.
-NEVER = 1e12
+# Parts of an event a unit of step that the rounding of rates makes, beside gaps a thousand times smaller than others.
+ROUNDED = 1e-12
 
 
 @dataclass
@@ -91,9 +91,9 @@ def sizes(problem: cq.ContactProblem, solution: cq.Solution) -> dict[str, Any]:
 
 
 def _same_reach(found: tuple[float, float], true: tuple[Any, Any]) -> bool:
-    """Whether the steps to the next event are those of the exact answer; those out of sight are one."""
-    steps = [[float(step) if step < NEVER else np.inf for step in pair] for pair in (found, true)]
-    return bool(np.allclose(*steps, rtol=SAME, atol=0.0))
+    """Whether the steps to the next event are those of the exact answer, as parts of an event a unit of step."""
+    parts = [[float(1 / step) if step else np.inf for step in pair] for pair in (found, true)]
+    return bool(np.allclose(*parts, rtol=SAME, atol=ROUNDED))
 
 
 def floats(values: Any) -> np.ndarray:

@@ -45,6 +45,7 @@ from contactqp.analysis.border_states import (
 )  # fmt: skip
 from contactqp.analysis.rate_systems import (
     EPS,
+    LARGE,
     SAME,
     Direction,
     Parts,
@@ -143,7 +144,8 @@ class Linearised:
         """Find the states of contacts; those that certificates see at a border are decided where they can be.
 
         Forces and gaps in given states are known far beyond double precision, where these have one answer: a force that
-        is there at all keeps its contact closed. In space, with friction, doubles decide.
+        is there at all keeps its contact closed, and steps to events have the digits of both. In space, with friction,
+        and where bodies are large and nothing is near a border, doubles do.
         """
         solution, problem, words = self.solution, self.problem, self.solution.contact_status
         none = np.zeros(shape_of_tangents(problem))
@@ -161,7 +163,7 @@ class Linearised:
             self.status, self.grazing, self._at_bound = decided_in_space(
                 problem, self.status, self.grazing, answer, self._gap, self._slip
             )
-        elif len(near) and not self._sparse:
+        elif (len(near) or problem.dimension <= LARGE) and not (self._sparse or in_space):
             status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
