@@ -10,6 +10,7 @@ from __future__ import annotations
 import glob
 import io
 import json
+import math
 import os
 import shutil
 import sys
@@ -73,8 +74,21 @@ def launched_rank() -> int | None:
 
 
 def print_json(data: Any) -> None:
-    """Print plain data as JSON."""
-    click.echo(json.dumps(data, indent=2, default=str, allow_nan=False))
+    """Print plain data as JSON, which has no numbers beyond those of doubles: null stands for them."""
+    try:
+        text = json.dumps(data, indent=2, default=str, allow_nan=False)
+    except ValueError:  # the energy of an answer of 1e200, for one
+        text = json.dumps(_in_range(data), indent=2, default=str, allow_nan=False)
+    click.echo(text)
+
+
+def _in_range(data: Any) -> Any:
+    """Return the same data with None in place of infinite and undefined numbers."""
+    if isinstance(data, dict):
+        return {name: _in_range(value) for name, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_in_range(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def complain(message: str) -> None:

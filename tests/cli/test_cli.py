@@ -431,6 +431,15 @@ def test_a_problem_without_an_answer_has_the_code_of_its_error(capsys, tmp_path)
     assert "drives" in data["failure"]
 
 
+def test_an_energy_beyond_all_doubles_is_null_in_json(capsys, tmp_path):
+    contactqp.write_problem(tmp_path / "far", contactqp.ContactProblem([[1.0]], [1e200], [[1.0]], [1e300]))
+    exit_code, out, _ = run(capsys, "run", tmp_path / "far", "--json")
+    (data,) = json.loads(out)
+    assert exit_code == 0
+    assert data["energy"] is None
+    assert "1e+200" in out
+
+
 def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
     stopped = ("--method", "osqp", "--option", "max_iter=1", "--option", "polish=false")
     (data,) = json.loads(run(capsys, "run", WALL, *stopped, "--json")[1])
