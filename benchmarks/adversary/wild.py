@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 import contactqp as cq
 from benchmarks.adversary.judging import Judge
 from benchmarks.bricks import Generator
+from contactqp.cli import main
 
 METHODS = (
     *["active-set"] * 4,
@@ -100,6 +103,18 @@ def judge_wild(judge: Judge, rng: Generator) -> None:
             ask(function.__name__, lambda function=function: function(problem))
         if not problem.frictional:  # with friction a step that has no answer takes seconds, and a path has many
             ask("follow_path", lambda: cq.follow_path(problem, [problem.load, 2 * problem.load]))
+    if solution is not None and rng.random() < 0.1:
+        ask("run --json", lambda: _run_as_json(problem))
+
+
+def _run_as_json(problem: cq.ContactProblem) -> None:
+    """Solve a problem from its folder by the command line, which must print JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        cq.write_problem(folder, problem)
+        said, why = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(why), contextlib.suppress(SystemExit):
+            main(["run", folder, "--json"])
+        json.loads(said.getvalue())
 
 
 def _judge_local(ask: Callable[[str, Callable[[], Any]], Any], rng: Generator) -> None:
