@@ -5,6 +5,7 @@ Forces of redundant contacts with the least sum likewise, and sets of contacts t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ WITHIN_ROUNDING = 8 * np.finfo(float).eps
 SHIFT_CORRECTIONS = 3
 # Forces that are so many times those that act press against each other.
 PRESSED = 1e3
+# Changes of contacts one by one, times unknowns and contacts: where few are open at the end, some dozens lead there.
+SINGLE_CHANGES = 600_000
 
 
 def shift_to_least_norm(
@@ -176,18 +179,18 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
     the order in which they are reached. The energy falls, so that no set comes twice (Nocedal and Wright 2006,
     algorithm 16.3).
     """
-    problem = state.problem
-    while state.solved and np.any(wrong := state.penetrated) and not _too_many(effort):
+    problem, changes = state.problem, iter(range(SINGLE_CHANGES // max(len(state.closed) + len(state.problem.load), 1)))
+    while state.solved and np.any(wrong := state.penetrated) and _goes_on(changes, effort):
         least = worst_of_neighbours(problem, np.where(wrong, -state.left.gap.double(), 0.0))
         state = solved_on(problem, state.closed | least, state.answer, effort)
     closings, openings = 0, 0
-    while state.solved and not (state.holds or state.penetrated.any() or _too_many(effort)):
+    while state.solved and not (state.holds or state.penetrated.any()) and _goes_on(changes, effort):
         pull = np.where(state.pulled, -state.answer.normal_force.double(), 0.0)
         # Where most that open close again, all but one are in vain.
         opened = worst_of_neighbours(problem, pull) if 2 * closings <= openings else pull == np.max(pull)
         closed, gap = state.closed & ~opened, np.where(state.closed, 0.0, np.maximum(state.left.gap.double(), 0.0))
         after, closings, openings = solved_on(problem, closed, state.answer, effort), 0, int(np.sum(opened))
-        while after.solved and np.any(after.penetrated) and not _too_many(effort):
+        while after.solved and np.any(after.penetrated) and _goes_on(changes, effort):
             left, reached = after.left.gap.double(), np.flatnonzero(after.penetrated)
             part = gap[reached] / (gap[reached] - left[reached])
             gap = np.maximum(gap + np.min(part) * (left - gap), 0.0)
@@ -199,6 +202,6 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
     return state
 
 
-def _too_many(effort: Effort) -> bool:
+def _goes_on(changes: Iterator[int], effort: Effort) -> bool:
     refuse_late("contacts open and close one by one")
-    return effort.exhausted()
+    return next(changes, None) is not None and not effort.exhausted()
