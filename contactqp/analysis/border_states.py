@@ -290,7 +290,14 @@ def seen_states(words: Any, slip: Array) -> Status:
 
 
 def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, drag: Array) -> Indices:
-    """Return the contacts that stick with all of the friction (m, d-1) that their forces (m,) allow, nearly."""
+    """Return the contacts that stick with all of the friction that their forces allow, nearly.
+
+    Parameters
+    ----------
+    problem : whose coefficients of friction allow it
+    status : (m,) array of int, the states
+    push, drag : (m,) and (m, d-1) arrays [force], normal forces and friction
+    """
     if not problem.frictional or problem.friction is None:
         return np.zeros(0, dtype=np.intp)
     return np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push))
@@ -407,7 +414,15 @@ class Borders:
             yield replace(held, normal_force=push, slip=slip)
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
-        """Return what is not negative where rates lead undecided contacts to the states of a system, or its error."""
+        """Return what is not negative where rates lead undecided contacts to the states of a system, or its error.
+
+        Parameters
+        ----------
+        found : the rates
+        direction : that of load, gaps, stiffness and so on, along which they are
+        system : the linear system of the states
+        errors : whether to return the bounds of its errors instead
+        """
         mu, add = self.problem.friction, 1.0 if errors else -1.0
         assert mu is not None
         _, of_normal, of_tangent, _ = self.scales.units

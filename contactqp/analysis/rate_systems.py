@@ -36,6 +36,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
 from contactqp.model.solution import Solution
 
+# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
+MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 # A direction of the stiffness is symmetric to this part of its largest entry.
@@ -395,24 +397,22 @@ class Scales:
     def __init__(self, problem: ContactProblem) -> None:
         self._problem = problem
 
-    def same(self, of: str, one: Rates, other: Rates, nothing: float = 0.0) -> bool:
-        """Return whether a quantity has the same rates, beside all rates and in the square root of energy.
+    def same(self, of: str, one: Rates, other: Rates) -> bool:
+        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
+        return self._apart(of, one, other) <= 0
 
-        Gaps and reactions are sums of terms that may cancel: beside themselves their rounding would be a difference.
-        """
-        largest = 0.0
-        for name in ("displacement", "normal_force", "friction_force", "tie_force"):
-            for rates in (one, other):
-                largest = max(largest, float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)))
+    def _apart(self, of: str, one: Rates, other: Rates) -> float:
+        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
+        sizes = [self.of(name, getattr(rates, name)) for name in MEASURED for rates in (one, other)]
+        largest = max(float(np.max(abs(size), initial=0.0)) for size in sizes)
         difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return bool(np.max(abs(difference), initial=0.0) <= SAME * largest + nothing)
+        return float(np.max(abs(difference), initial=0.0)) - SAME * largest
 
     def are_one(self, one: Rates, other: Rates) -> bool:
         """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""
         sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
         nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
-        names = "displacement", "normal_force", "friction_force", "tie_force"
-        return all(self.same(name, one, other, nothing) for name in names)
+        return all(self._apart(name, one, other) <= nothing for name in MEASURED)
 
     def of(self, name: str, values: Array) -> Vector:
         """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""

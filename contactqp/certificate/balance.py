@@ -51,6 +51,8 @@ LP_TOLERANCES = (1e-10, 1e-7)
 DEPENDENT_ROWS = 1e-10
 # Up to so many contacts that touch and ties their dependence is looked at, in dense matrices.
 MOST_SHARING = 1000
+# Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.
+SHARED_ALIKE = 1e-9
 # A force that is negative by this part of the largest pulls; what is less is of the answer's rounding.
 PULLS = 1e-3
 
@@ -297,7 +299,8 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
     Contacts that touch and ties that depend on each other share their forces in many ways, with one R'y, R their rows
     of unit compliance and y their forces over the weights of the rows. Of the answer's y less the solution's, d,
     R'^+ R'd is left: what no other sharing makes. The nearest may pull by the rounding of the answer. The forces that
-    were found are returned where those would pull by more, where no rows depend on others, and of very many rows.
+    were found are returned where those would pull by more or differ by less than `SHARED_ALIKE`, where no rows
+    depend on others, and of very many rows.
 
     Parameters
     ----------
@@ -320,7 +323,12 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
     left, _, rank, _ = np.linalg.lstsq(rows, rows @ difference, rcond=DEPENDENT_ROWS)
     if rank == len(weight):
         return forces
-    change = (difference - left) * weight
+    shared = difference - left
+    size = np.concatenate([forces[0].double()[touching], forces[1].double()]) / weight
+    # Across the rounding of a gap forces do work, by which the bound of the displacement grows.
+    if np.linalg.norm(shared) <= SHARED_ALIKE * np.linalg.norm(size):
+        return forces
+    change = shared * weight
     force = forces[0].added_at(touching, change[:count])
     if np.any(force.hi < -PULLS * np.max(abs(force.hi), initial=0.0)):
         return forces

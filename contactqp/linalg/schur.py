@@ -32,7 +32,6 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg.lapack import dgbtrf, dgbtrs
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
@@ -315,6 +314,8 @@ def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
     matrix : (p, p) sparse matrix
     """
     size = matrix.shape[0]
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
     order = reverse_cuthill_mckee(sp.csr_matrix(matrix), symmetric_mode=True)
     ordered = sp.csr_matrix(matrix)[order][:, order].tocoo()
     width = int(np.max(abs(ordered.row - ordered.col), initial=0))

@@ -49,8 +49,14 @@ def test_bounds_cover_the_errors_of_nearly_parallel_contacts(exponent: int) -> N
 @pytest.mark.parametrize("exponent", [43, 44, 45, 46, 47])
 @pytest.mark.parametrize("load", [0.0625, 0.25, 1.0])
 def test_a_wedge_that_hardly_narrows_still_holds(exponent: int, load: float) -> None:
-    found = solution_of(wedge(2.0**-exponent, load))
-    assert not found.certificate.passed
+    """The forces that hold it are load / θ each: an answer without them, which lets the body move, must not pass."""
+    problem = wedge(2.0**-exponent, load)
+    found = cq.solve(problem)
+    assert found.certificate.passed
+    np.testing.assert_allclose(found.displacement, [1.0, 0.0], rtol=0, atol=1e-15)
+    carried = load * 2.0**exponent
+    np.testing.assert_allclose(found.normal_force, [carried - 1.0, carried], rtol=1e-12)
+    assert not cq.certify(problem, [1.0, load], [0.0, 0.0]).passed
 
 
 @pytest.mark.parametrize("exponent", [50, 51, 52])
