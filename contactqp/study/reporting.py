@@ -8,6 +8,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -96,7 +97,7 @@ def report(
         if cases or full:
             result = write_report(case_files(cases or [_default_cases()]), output, running=running)
         else:
-            result = write_report(telling_cases(report_folder(output)), output, running=running, brief=True)
+            result = write_report(telling_cases(_folder_with_a_page(output)), output, running=running, brief=True)
     except Stopped as stop:
         print(f"contactqp: {stop}", file=sys.stderr)
         return stop.code
@@ -168,7 +169,7 @@ def write_report(
     chosen = chosen_methods(methods)
     studies = load_studies(cases, chosen, tolerances, brief)
     rounds = BRIEF_ROUNDS if brief else Rounds(repeats, ENOUGH)
-    folder = report_folder(output)
+    folder = _folder_with_a_page(output)
     before = load()
     with stopped_by_signals(), workers_of(running, one_thread=bool(busy(before))) as workers:
         facts: dict[str, Any] = dict(
@@ -204,6 +205,23 @@ def write_report(
                         write(shop / PAGE, _page(data, folder, notes))
                     files = _deliver(shop, folder)
     return ReportResult(data.summary, data.rows, files, notes, before)
+
+
+# The page until there is something to show.
+_BEGUN = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>Contact problems</title>
+<p><b>Still running:</b> the report has begun. This page grows; load it again.</p></html>
+"""
+
+
+def _folder_with_a_page(output: str | Path) -> Path:
+    """Return the folder of a report, made if need be, with a page that says that it has begun where it has none."""
+    folder = report_folder(output)
+    if not (folder / PAGE).exists() and not missing_packages():
+        with suppress(OSError), workshop(folder) as shop:  # what is written next says that it cannot be
+            write(shop / PAGE, _BEGUN)
+            deliver(shop, folder)
+    return folder
 
 
 def _report_data(collector: Collector, facts: Mapping[str, Any]) -> ReportData:

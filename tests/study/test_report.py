@@ -253,6 +253,25 @@ def test_without_cases_the_telling_ones_are_reported(
     assert len(found) == 8 if all_of_them else found == {"bar_wall"}
 
 
+def test_the_folder_of_a_report_has_a_page_before_its_cases_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed within its first second a report left case files and no page."""
+    pages = []
+
+    def cases(folder: Path) -> None:
+        pages.append((folder / "index.html").read_text())
+        raise cq.SceneError("killed")
+
+    monkeypatch.setattr(report, "telling_cases", cases)
+    for _ in range(2):
+        with pytest.raises(cq.SceneError, match="killed"):
+            report.report((), str(tmp_path / "report"), HERE)
+    assert len(pages) == 2
+    assert "the report has begun" in pages[0]
+    assert pages[0] == pages[1]
+
+
 def test_a_case_that_is_named_twice_is_refused(tmp_path: Path) -> None:
     with pytest.raises(cq.SceneError, match=r"bar_wall.toml: expected each case once, got it as .*bar_wall.toml too"):
         _write(tmp_path / "out", cases=[CASES[0], CASES[1], CASES[0].parent / ".." / "cases" / CASES[0].name])
