@@ -148,9 +148,7 @@ def _from_solution(
     strain = max(strain - uncertain, 0.0)
     energy, size, elastic = _energy(state)
     moved = abs(solution.displacement)
-    rounding = ROUNDED * float(
-        moved @ (problem.stiffness_sizes @ moved)
-    )  # rigid motions leave an energy of either sign
+    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # what rigid motions leave, of either sign
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)

@@ -48,7 +48,7 @@ from contactqp.solving.friction.exact_enumeration import (
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined, solve_sparse_newton
 from contactqp.solving.friction.tresca import tresca_on_bodies
-from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, find, name_of
+from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, algorithm_name, find
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
@@ -251,7 +251,7 @@ class IteratedFrictionRun(RunByIteration):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
         super().__init__(problem, method, frictional_iteration)
-        self.name = name_of("tresca", method.name)
+        self.name = algorithm_name("tresca", method.name)
         refuse_indefinite_by_iteration(problem, self.iteration)
         refuse_driven_motion(problem, self.iteration.rigid)
         start = _known_answer(problem, settings.warm_start)

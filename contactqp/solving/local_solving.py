@@ -38,7 +38,7 @@ from contactqp.solving.friction.exact_enumeration import (
     has_local_equilibrium,
 )
 from contactqp.solving.friction.local_form import Iterate, LocalForm
-from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, find, name_of, refuse_arguments
+from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, algorithm_name, find, refuse_arguments
 
 ENUMERATION = "enumeration"
 # Sizes from which dense systems are large enough for two threads to wait for each other.
@@ -172,7 +172,7 @@ def _refuse_options(method: str, algorithm: str | None, options: dict[str, Any])
     known = (*POLYGON_OPTIONS, *find(method).options) if convex else ()
     unknown = sorted(set(options) - set(known))
     if unknown:
-        whose = name_of(str(algorithm), method) if convex else (algorithm or "friction")
+        whose = algorithm_name(str(algorithm), method) if convex else (algorithm or "friction")
         raise InvalidProblem(f"{whose}: unknown option {unknown[0]!r}; its own options: {', '.join(known) or 'none'}")
 
 

@@ -16,7 +16,7 @@ from contactqp.solving.friction.gauss_seidel import gauss_seidel
 from contactqp.solving.friction.local_form import NEARER, Deadline, FoundOnBodies, Iterate, LocalForm
 from contactqp.solving.friction.newton import solve_newton
 from contactqp.solving.friction.tresca import tresca_on_bodies
-from contactqp.solving.methods import Method, Settings, find, name_of
+from contactqp.solving.methods import Method, Settings, algorithm_name, find
 
 Accepted = Callable[[Iterate], bool]
 
@@ -152,7 +152,7 @@ def run_algorithm(
     polish : whether Newton's method refines iterates in between
     """
     steps = ConvexSteps(form, method, settings) if algorithm.convex else None
-    name = algorithm.name if steps is None else name_of(algorithm.name, method.name + steps.polygons)
+    name = algorithm.name if steps is None else algorithm_name(algorithm.name, method.name + steps.polygons)
     deadline = Deadline(settings.time_limit)
     limit = algorithm.limit if settings.max_iter is None else settings.max_iter
     patience = min(algorithm.patience, PATIENCE + PATIENCE_A_CONTACT * form.m)

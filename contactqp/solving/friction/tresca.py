@@ -32,7 +32,7 @@ from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.local_form import NEARER, RELAXATION, FoundOnBodies, aitken
-from contactqp.solving.methods import Method, Settings, name_of
+from contactqp.solving.methods import Method, Settings, algorithm_name
 
 # Enough for contractions up to 0.9; what is slower is not getting there.
 MAX_STEPS = 100
@@ -73,7 +73,7 @@ def tresca_on_bodies(
         As in `solve_tresca`.
     """
     found = solve_tresca(problem, condensation, method, settings, at_once)
-    return FoundOnBodies(found.answer, name_of("tresca", method.name), found.changes)
+    return FoundOnBodies(found.answer, algorithm_name("tresca", method.name), found.changes)
 
 
 def solve_tresca(

@@ -32,9 +32,9 @@ __all__ = [
     "FEW_ROWS",
     "Method",
     "Settings",
+    "algorithm_name",
     "find",
     "methods",
-    "name_of",
     "of_same_letters",
     "options_of",
     "refuse_arguments",
@@ -269,10 +269,10 @@ def refuse_too_dense(problem: ContactProblem, method: Method, condense: bool | s
     )
 
 
-def name_of(algorithm: str, method: str) -> str:
+def algorithm_name(algorithm: str, method: str) -> str:
     """Return what an answer calls an algorithm whose steps are convex problems, and the method that solves these.
 
-    >>> name_of("tresca", "active-set"), name_of("aclm", "clarabel")
+    >>> algorithm_name("tresca", "active-set"), algorithm_name("aclm", "clarabel")
     ('Tresca fixed-point iteration, each step by active-set', 'aclm, each step by clarabel')
     """
     called = {"tresca": "Tresca fixed-point iteration"}.get(algorithm, algorithm)
