@@ -5,7 +5,7 @@ parallel, E_i = c_i E_k, ask for the same displacement along one row: of contact
 g_i / c_i can close, and of ties with equal b_i / c_i one holds them all. What the kept row k carries, F, is shared by
 those that close together so that the sum of squares is least: l_i = F c_i / (sum of c_j^2), of one sign. Bounds of one
 unknown are parallel rows, too. A contact with E_i u < g_i wherever the bounds of its unknowns allow u to be cannot
-close: its force is zero.
+close, and one that is parallel to a tie that keeps it from closing any further need not push: its force is zero.
 
 Nothing here is decided by a tolerance: rows are parallel and gaps equal where they are so in rational numbers, and what
 a row may reach is summed with the rounding of the sum added. The certificate sees all rows all the same.
@@ -131,6 +131,26 @@ def never_close(problem: ContactProblem) -> Indices:
     return np.flatnonzero((lengths > 1) & np.isfinite(totals) & (totals + rounding < problem.gap))
 
 
+def held_by_ties(problem: ContactProblem) -> Indices:
+    """Return the contacts that a tie holds open or just closed, wherever the rest is: E_i = c A_k with c b_k <= g_i.
+
+    The tie takes whatever force such a contact might have.
+    """
+    if not problem.ties:
+        return np.zeros(0, dtype=np.intp)
+    m, held = problem.contacts, []
+    for group in parallel_rows(sp.csr_matrix(sp.vstack([problem.normal, problem.tie])), False):
+        ties = [(i - m, c) for i, c in zip(group.rows.tolist(), group.factors, strict=True) if i >= m]
+        if not ties:
+            continue
+        tie, unit = ties[0]
+        value = Fraction(float(problem.tie_value[tie])) / unit
+        for i, c in zip(group.rows.tolist(), group.factors, strict=True):
+            if i < m and np.isfinite(problem.gap[i]) and c * value <= Fraction(float(problem.gap[i])):
+                held.append(i)
+    return np.array(sorted(held), dtype=np.intp)
+
+
 @dataclass(frozen=True)
 class Shares:
     """The shares of removed rows in the forces of kept ones: force = matrix @ (forces of the kept rows)."""
@@ -172,8 +192,8 @@ def presolved(problem: ContactProblem) -> Presolved | None:
     if groups is None:
         groups = parallel_rows(problem.normal, True), parallel_rows(problem.tie, False)
         problem._computed.parallel_rows = groups
-    idle = never_close(problem)
-    notes: list[str] = []
+    tied = held_by_ties(problem)
+    idle, notes = np.union1d(never_close(problem), tied), list[str]()
     contacts = _shares(problem.contacts, [(g.rows, *g.tightest(problem.gap)) for g in groups[0]], idle)
     together = [g.same(problem.tie_value) for g in groups[1]]
     ties = _shares(problem.ties, [(same[0], *same) for same in together], np.zeros(0, dtype=np.intp))
@@ -184,7 +204,8 @@ def presolved(problem: ContactProblem) -> Presolved | None:
     for rows, text in (
         (aside[~equal], "parallel to nearer ones"),
         (aside[equal], "parallel to equal ones"),
-        (idle, "out of reach within bounds"),
+        (tied, "held by ties"),
+        (np.setdiff1d(idle, tied), "out of reach within bounds"),
     ):
         names = [problem.contact_name(int(i)) for i in rows[:NAMED]]
         if names:

@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.solving.presolve import never_close, parallel_rows, presolved
+from contactqp.solving.presolve import held_by_ties, never_close, parallel_rows, presolved
 
 SIZES = [6, 1500]
 METHODS = ["active-set", "clarabel"]
@@ -156,3 +156,24 @@ def test_a_start_counts_for_the_rows_that_are_left() -> None:
     assert fewer is not None
     left = fewer.contacts.restricted(found.normal_force)
     assert fewer.contacts.matrix @ left == pytest.approx(found.normal_force)
+
+
+def test_contacts_that_ties_hold_have_no_force() -> None:
+    """Wherever else they stand: a tie takes what such a contact might push, and no pair of them squeezes the other."""
+    K, load = np.diag([2.0, 3.0]), np.array([5.0, 7.0])
+    rows, gap = [[-2.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [-1.0, 0.75, 1.0]
+    tied = cq.ContactProblem(K, load, rows, gap, tie=[[4.0, 0.0]], tie_value=[2.0])  # u = 1/2: closed, open, free
+    assert held_by_ties(tied).tolist() == [0, 1]
+    fewer = presolved(tied)
+    assert fewer is not None
+    assert fewer.contacts.kept.tolist() == [2]
+    assert fewer.notes == ("set aside: contact 0, contact 1, held by ties",)
+    for method in ("active-set", "clarabel", "osqp"):
+        solution = cq.solve(tied, method)
+        assert solution.displacement == pytest.approx([0.5, 1.0])
+        assert solution.normal_force == pytest.approx([0.0, 0.0, 4.0])
+        assert solution.tie_force == pytest.approx([1.0])  # 4 nu = 5 - 2 / 2
+    beyond = tied.replace(gap=[-1.0, 0.25, 1.0])  # the tie is further than the second contact lets it be
+    assert held_by_ties(beyond).tolist() == [0]
+    with pytest.raises(cq.NoEquilibrium):
+        cq.solve(beyond)
