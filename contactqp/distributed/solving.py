@@ -44,7 +44,7 @@ from contactqp.model.solution import (
 )
 from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
-from contactqp.solving.methods import Settings, find, name_of, of_same_letters, refuse_arguments, registered_name
+from contactqp.solving.methods import Settings, algorithm_name, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 # The error in energy, relative to the energy of the contact forces: on any number of ranks the displacement is that of
@@ -114,7 +114,7 @@ def solve_distributed(
     elif problem.frictional:
         certifiable = partial(_certifiable, problem, tolerance)
         candidate = solve_friction_by_iteration(problem, iteration, settings, warm_start, ENERGY, certifiable)
-        method = name_of("tresca", method)
+        method = algorithm_name("tresca", method)
     else:
         candidate = solve_by_iteration(problem, iteration, settings, ENERGY)
     answer = Answer(candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force)
