@@ -293,3 +293,25 @@ def test_a_snap_under_load_is_a_limit_point_of_the_path(seed):
     assert (limit.kind, limit.smooth) == ("maximum", True)
     assert limit.load_factor == pytest.approx(told[-1], rel=2e-3)
     assert limit.load_factor <= told[-1]
+
+
+@pytest.mark.parametrize(("length", "force"), [(2.0**300, 2.0**-400), (2.0**-300, 2.0**300)])
+@pytest.mark.parametrize("control", ["load", "arc-length"])
+def test_units_of_any_size_change_no_digit_of_a_path(length, force, control):
+    """Displacements beyond 1e50 were those of a torn bar, and entries of 1e-200 beside rows of 1 an OverflowError."""
+
+    def path(length, force):
+        points = np.array([[-1, 0], [0, 0.25], [1, 0]]) * length
+        truss = cq.NonlinearTruss(points, [[0, 1], [1, 2]], modulus=100.0 * force, area=1.0)
+        floor = cq.ObstacleContact([[0.0, 0.25 * length]], cq.Plane([0.0, -0.125 * length], [0.0, 1.0]))
+        by = dict(steps=6, arc_length=0.125 * length) if control == "arc-length" else dict(steps=2)
+        body = cq.Supported(truss, held=[0, 1, 4, 5])
+        return cq.large_deformation(body, [[0.0, -force]], floor, control=control, **by)
+
+    near_one, far = path(1.0, 1.0), path(length, force)
+    assert [event.kind for event in near_one.events] == ["closed"]
+    np.testing.assert_allclose(far.displacements / length, near_one.displacements, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(far.normal_forces / force, near_one.normal_forces, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose([e.time for e in far.events], [e.time for e in near_one.events], rtol=1e-12)
+    factors = [[limit.load_factor for limit in history.limit_points] for history in (far, near_one)]
+    np.testing.assert_allclose(*factors, rtol=1e-11)

@@ -16,13 +16,15 @@ from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.factorization import factorise
-from contactqp.model.arrays import Array, Mask, Vector, inverse_root
+from contactqp.model.arrays import Array, Index, Mask, Vector, inverse_root
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 
 # Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
 ZERO = 1e-12
 REFINEMENTS = 2
+# Sweeps that bring the largest entries of rows and columns near one; each halves their exponents.
+SWEEPS = 12
 # The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
 HELD = 1e6
 # A contact is closed by what lies beyond rounding of the lengths that meet.
@@ -33,16 +35,39 @@ ROUNDED_SLIP = 1e-12
 CHANGES = 20
 
 
+def in_units_of_its_own(matrix: Any) -> tuple[Any, Index, Index]:
+    """Return a square matrix with its largest entries in every row and column near one, and the exponents of two.
+
+    Entry (i, j) of the result is 2^(r_i + c_j) times that of the matrix, exactly (Ruiz 2001). Pivots are then chosen
+    alike whatever the units of lengths and forces are. A symmetric matrix stays symmetric.
+    """
+    entries = sp.coo_array(matrix)
+    entries.eliminate_zeros()
+    rows, columns = entries.coords
+    sizes = np.log2(abs(entries.data))
+    r, c = np.zeros(matrix.shape[0]), np.zeros(matrix.shape[1])
+    for _ in range(SWEEPS):
+        scaled = sizes + r[rows] + c[columns]
+        across, down = np.full(len(r), -np.inf), np.full(len(c), -np.inf)
+        np.maximum.at(across, rows, scaled)
+        np.maximum.at(down, columns, scaled)
+        r, c = r - np.where(np.isfinite(across), across, 0.0) / 2, c - np.where(np.isfinite(down), down, 0.0) / 2
+    left, right = np.rint(r).astype(np.int64), np.rint(c).astype(np.int64)
+    data = np.ldexp(entries.data, left[rows] + right[columns])
+    return sp.csc_array(sp.coo_array((data, (rows, columns)), shape=matrix.shape)), left, right
+
+
 def solve_system(matrix: Any, right: Vector) -> Vector:
     """Return the solution of a square system, symmetric or not; dense where it is small.
 
     Raises NotConverged: the matrix is singular.
     """
     size = matrix.shape[0]
+    matrix, of_rows, of_columns = in_units_of_its_own(matrix)
+    right = np.ldexp(right, of_rows)
     try:
         if size <= DENSE_SIZE:
-            inverse = np.linalg.inv(matrix.toarray())
-            solved = inverse.__matmul__
+            solved = np.linalg.inv(matrix.toarray()).__matmul__
         else:
             from scipy.sparse.linalg import splu
 
@@ -52,6 +77,7 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
             found = found + solved(right - matrix @ found)
     except (np.linalg.LinAlgError, RuntimeError):  # RuntimeError is SuperLU's word for an exactly zero pivot
         raise NotConverged("the system of the closed contacts is singular") from None
+    found = np.ldexp(found, of_columns)
     if not np.all(np.isfinite(found)):
         raise NotConverged("the system of the closed contacts is singular")
     return np.asarray(found)
@@ -59,6 +85,7 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
 
 def determinant_sign(matrix: Any) -> float:
     """Return the sign of the determinant of a square matrix, 0 if it is singular."""
+    matrix, *_ = in_units_of_its_own(matrix)
     if matrix.shape[0] <= DENSE_SIZE:
         return float(np.linalg.slogdet(matrix.toarray())[0])
     from scipy.sparse.linalg import splu

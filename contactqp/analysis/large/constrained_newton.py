@@ -29,7 +29,8 @@ UNRESOLVED = 1e-6
 FRACTIONS = 12
 # Rounding of an energy, over the sizes that add up to it.
 MERIT_ROUNDING = 1e-13
-# Displacements beyond this, in any unit, are those of a body that nothing holds: of a bar that has torn.
+# Displacements beyond so many times that of the start and of the first step are those of a body that nothing holds: of
+# a bar that has torn.
 RUN_AWAY = 1e50
 
 
@@ -77,7 +78,7 @@ def find_balance(
     except InvalidProblem as error:
         raise NotConverged(f"at the start: {error}") from error
     iterations: list[NewtonIteration] = []
-    step, weight, reason = None, 0.0, ""
+    step, weight, reason, reach = None, 0.0, "", float(np.max(abs(start), initial=0.0))
     for _ in range(settings.max_iter):
         K = loaded.hessian(now, forces)
         start_error = _imbalance_before(loaded, now, K, forces, target, settings)
@@ -88,7 +89,9 @@ def find_balance(
         step = newton_step(loaded, now, K, target, settings, step, forces)
         weight = max(weight, _weight(loaded, now, K, target, step))
         fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
-        if np.max(abs(new.displacement), initial=0.0) > RUN_AWAY:
+        size = float(np.max(abs(new.displacement), initial=0.0))
+        reach = reach if iterations else max(reach, size)
+        if size / RUN_AWAY > reach:
             raise NotConverged("Newton's method: the displacements grow without bound, nothing balances the load")
         residual = _imbalance_after(loaded, now, new, K, target, settings, step)
         changed = not np.array_equal(forces.normal > 0, step.forces.normal > 0)

@@ -212,7 +212,8 @@ class PathEquations:
         right[-1] = 1.0
         matrix = self._bordered(K, now, B, row, forces, row_t)
         v, normal, tie, rate = self._parted(solve_system(matrix, right), B)
-        length = float(np.sqrt(v @ v + (self.scale * rate) ** 2))
+        size = max(float(np.max(abs(v), initial=0.0)), self.scale * abs(rate)) or 1.0
+        length = size * float(np.hypot(np.linalg.norm(v / size), self.scale * rate / size))
         if not np.isfinite(length) or length == 0:
             raise NotConverged("the path has no direction there")
         # The determinant is linear in its last row and vanishes across the direction, so this is its sign with the
