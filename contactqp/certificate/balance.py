@@ -47,14 +47,12 @@ ACTING = 1e-6
 # HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
 # formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
 LP_TOLERANCES = (1e-10, 1e-7)
-# Rows of unit compliance whose combination is this part of them depend on each other.
+# Rows of unit length whose combination is this part of them depend on each other.
 DEPENDENT_ROWS = 1e-10
 # Up to so many contacts that touch and ties their dependence is looked at, in dense matrices.
 MOST_SHARING = 1000
 # Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.
 SHARED_ALIKE = 1e-9
-# A force that is negative by this part of the largest pulls; what is less is of the answer's rounding.
-PULLS = 1e-3
 
 
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
@@ -297,10 +295,9 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
     """Return the solution's forces of contacts (m,) and ties (k,) that are nearest to an answer's.
 
     Contacts that touch and ties that depend on each other share their forces in many ways, with one R'y, R their rows
-    of unit compliance and y their forces over the weights of the rows. Of the answer's y less the solution's, d,
-    R'^+ R'd is left: what no other sharing makes. The nearest may pull by the rounding of the answer. The forces that
-    were found are returned where those would pull by more or differ by less than `SHARED_ALIKE`, where no rows
-    depend on others, and of very many rows.
+    in units of unknowns in which S has a unit diagonal, of unit length, and y their forces over the weights of the
+    rows. No contact pulls in any of them. The forces that were found are returned where others would differ by less
+    than `SHARED_ALIKE`, where no rows depend on others, and of very many rows.
 
     Parameters
     ----------
@@ -316,20 +313,40 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
     count = len(touching)
     if count + len(answer.tie_force) > MOST_SHARING:
         return forces
-    weight = 1.0 / np.sqrt(np.concatenate([compliance[touching], compliance[m:]]))
-    rows = (np.vstack([condensation.normal[touching], condensation.tie]) * weight[:, None]).T
+    rows = np.vstack([condensation.normal[touching], condensation.tie]) * condensation.scale
+    length = np.linalg.norm(rows, axis=1)
+    weight = 1.0 / np.where(length > 0, length, 1.0)
+    rows = (rows * weight[:, None]).T
     apart = extend(answer.normal_force) - forces[0], extend(answer.tie_force) - forces[1]
     difference = np.concatenate([apart[0].double()[touching], apart[1].double()]) / weight
-    left, _, rank, _ = np.linalg.lstsq(rows, rows @ difference, rcond=DEPENDENT_ROWS)
-    if rank == len(weight):
-        return forces
-    shared = difference - left
     size = np.concatenate([forces[0].double()[touching], forces[1].double()]) / weight
+    least = np.where(np.arange(len(size)) < count, -np.maximum(size, 0.0), -np.inf)
+    shared = _shared_alike(rows, difference, least)
     # Across the rounding of a gap forces do work, by which the bound of the displacement grows.
     if np.linalg.norm(shared) <= SHARED_ALIKE * np.linalg.norm(size):
         return forces
     change = shared * weight
-    force = forces[0].added_at(touching, change[:count])
-    if np.any(force.hi < -PULLS * np.max(abs(force.hi), initial=0.0)):
-        return forces
-    return force, forces[1] + change[count:]
+    return forces[0].added_at(touching, change[:count]), forces[1] + change[count:]
+
+
+def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
+    """Return forces y (q,) >= least near to those wanted for which R y = 0, where R (p, q) has columns of unit length.
+
+    Those that would be less are held at the least, one set after the other; where the others cannot balance them, the
+    step to the nearest forces of any sign ends where the first is least.
+    """
+    held, first = np.zeros(len(wanted), dtype=bool), np.zeros(len(wanted))
+    for turn in range(len(wanted)):
+        forces, free = np.where(held, least, wanted), ~held
+        left, _, rank, _ = np.linalg.lstsq(rows[:, free], rows @ forces, rcond=DEPENDENT_ROWS)
+        if turn == 0 and rank == len(wanted):
+            return first
+        forces[free] -= left
+        first = first if turn else forces
+        if np.linalg.norm(rows @ forces) > DEPENDENT_ROWS * np.linalg.norm(forces):
+            break
+        if not (less := free & (forces < least)).any():
+            return forces
+        held |= less
+    less = first < least
+    return first * float(np.min(least[less] / first[less], initial=1.0))

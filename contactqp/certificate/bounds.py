@@ -256,11 +256,13 @@ def _holding(
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
     """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
     force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
+    shared = 0.0  # what another sharing of the forces strains, by rounding
     # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
     if problem.ties:  # of the forces of rows that depend on each other
         force, tie_force = nearest_to(answer, condensation, on_set, allowance)
+        shared = force_norm(problem, condensation, force - on_set.normal_force)[0]
     if (force.hi < 0).any():
         dropped, tie_change = without_tension(problem, condensation, force)
         pulled = sum(force_norm(problem, condensation, dropped))
@@ -269,7 +271,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     return AdmissiblePair(
         to_middle=on_set.displacement - extend(answer.displacement),
         radius=allowance,
-        dual_radius=allowance,
+        dual_radius=allowance + shared,
         force=force.positive_part(),
         tie_force=tie_force,
         open_gap=np.maximum(on_set.gaps, 0.0),
@@ -387,6 +389,8 @@ def _force_error(
         if not tied and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
             continue  # without its ties K is singular to rounding, and has no such norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
+    if len(found) > 1 and 0 < found[0][1] <= found[0][2]:
+        found = found[1:]  # what contacts push ties take up but for rounding, which has no size
     (_, size, uncertain), *_ = found
     largest = missed = 0.0
     if problem.ties > 0 and independent:

@@ -106,3 +106,74 @@ def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
     assert {name for name in ("tie 0", "tie 1", "tie 2", "tie 3") if name in said} == {"tie 0", "tie 1", "tie 2"}
     with pytest.raises(cq.NoEquilibrium, match="tie 0, tie 1, tie 2"):
         cq.solve(membrane.replace(tie_value=[0.001, 0.001, 0.0041, 0.0]))
+
+
+def _sharing(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """K, rows of contacts and ties that depend on each other, u, forces of contacts and ties: of few bits."""
+    n = int(rng.integers(2, 9))
+    factor = rng.integers(-3, 4, (n + 2, n)).astype(float)
+    stiffness = np.diag(2.0 ** rng.integers(-6, 7, n)) if rng.random() < 0.5 else factor.T @ factor + np.eye(n)
+    base = rng.integers(-2, 3, (int(rng.integers(1, min(n, 4) + 1)), n)).astype(float)
+    contacts, ties = (rng.integers(-2, 3, (int(rng.integers(1, 6)), len(base))) @ base for _ in range(2))
+    contacts, ties = contacts[np.any(contacts, axis=1)], ties[np.any(ties, axis=1)]
+    force = np.where(rng.random(len(contacts)) < 0.7, rng.integers(0, 17, len(contacts)) / 16.0, 0.0)
+    if not (np.any(force) and len(ties)):
+        return _sharing(rng)
+    return stiffness, contacts, ties, rng.integers(-8, 9, n) / 8.0, force, rng.integers(-16, 17, len(ties)) / 16.0
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_bounds_of_shared_forces_hold_in_any_units(seed: int) -> None:
+    """Of the forces of contacts and ties, |E'dl + A'dnu| in K^-1 over that of the answer is no larger than the bound.
+
+    Bounds in units of 1e-7 to 1e7 of each unknown and row were a thousandth of the error: rows were compared before
+    their unknowns had one unit. Others were two thirds of it: a force that pulled was set to zero, and what it balanced
+    left as it was.
+    """
+    rng = np.random.default_rng([28, seed])
+    stiffness, contacts, ties, u, force, tie_force = _sharing(rng)
+    unknown, row, tied = (4.0 ** rng.integers(-12, 13, len(each)) for each in (u, force, tie_force))
+    problem = cq.ContactProblem(
+        stiffness / np.outer(unknown, unknown),
+        (stiffness @ u + contacts.T @ force + ties.T @ tie_force) / unknown,
+        contacts / unknown * row[:, None],
+        (contacts @ u) * row,
+        tie=ties / unknown * tied[:, None],
+        tie_value=(ties @ u) * tied,
+    )
+    inverse = np.linalg.inv(stiffness)
+
+    def felt(push: np.ndarray, held: np.ndarray) -> float:
+        resultant = contacts.T @ push + ties.T @ held
+        return float(np.sqrt(max(resultant @ inverse @ resultant, 0.0)))
+
+    size = felt(force, tie_force)
+    pushed = felt(force, -np.linalg.lstsq(ties.T, contacts.T @ force, rcond=None)[0])
+    assert cq.certify(problem, u * unknown, force / row, tie_force=tie_force / tied).passed
+    for part in (1e-9, 1e-6, 1e-3):
+        changes = (part * force, 0 * tie_force), (part * rng.normal(size=len(force)) * force, 0 * tie_force)
+        for change, turn in (*changes, (0 * force, part * rng.normal(size=len(tie_force)))):
+            given = np.maximum(force + change, 0.0), tie_force + turn
+            certificate = cq.certify(problem, u * unknown, given[0] / row, tie_force=given[1] / tied)
+            error = felt(given[0] - force, turn)
+            relative = error / size if pushed >= 1e-6 * size > 0 else min(error, error / (size or 1.0))
+            assert certificate.force_error is not None
+            assert certificate.force_error >= relative * (1 - 1e-6) - 1e-12
+            assert not (certificate.passed and error > 1e-5 * size)
+
+
+def test_forces_that_ties_take_up_but_for_rounding_are_compared_with_those_of_ties() -> None:
+    """Of a chain on a support of 2^-45 contacts push what a tie carries: their force on the tied chain is rounding."""
+    springs = [0.125, 2.0, 1.0, 1.0, 0.25]
+    stiffness = np.zeros((6, 6))
+    for place, spring in enumerate(springs):
+        stiffness[place : place + 2, place : place + 2] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    stiffness[0, 0] += 2.0**-45
+    row, u = np.array([-4.0, 2.0, 0.0, -4.0, 2.0, 4.0]), np.array([1.0, 0.0, -0.5, -0.875, 1.0, -0.875])
+    contacts, force, tie_force = np.array([row / 2, row]), np.array([0.4375, 0.8125]), np.array([0.25])
+    load = stiffness @ u + contacts.T @ force + row * tie_force
+    problem = cq.ContactProblem(stiffness, load, contacts, contacts @ u, tie=row[None], tie_value=[row @ u])
+    assert cq.certify(problem, u, force, tie_force=tie_force).passed
+    assert cq.certify(problem, u, force + np.array([0.25, -0.125]), tie_force=tie_force).passed
+    assert not cq.certify(problem, u, force * 1.001, tie_force=tie_force).passed
+    assert not cq.certify(problem, u, force, tie_force=tie_force * 1.001).passed
