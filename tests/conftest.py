@@ -7,6 +7,7 @@ which some of them press.
 
 import os
 import signal
+import sys
 from collections import Counter
 from zlib import crc32
 
@@ -25,6 +26,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--share", metavar="K/N", help="the K-th of N parts of the tests, from 0, the same ones every time"
     )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled modules in pytest's cache where Python is told to leave none beside the sources.
+
+    The processes of pytest-xdist and the hundred and more that tests start would otherwise compile all anew.
+    """
+    cache = getattr(config, "cache", None)
+    if cache is None or "PYTHONDONTWRITEBYTECODE" not in os.environ:
+        return
+    del os.environ["PYTHONDONTWRITEBYTECODE"]
+    os.environ.setdefault("PYTHONPYCACHEPREFIX", str(cache.mkdir("bytecode")))
+    sys.dont_write_bytecode, sys.pycache_prefix = False, os.environ["PYTHONPYCACHEPREFIX"]
 
 
 @pytest.hookimpl(tryfirst=True)

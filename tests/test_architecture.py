@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from graphlib import CycleError, TopologicalSorter
 from types import FrameType
 
@@ -144,9 +144,18 @@ def lines_of(node: ast.AST, body: list[ast.stmt]) -> int:
     return int(last.end_lineno - first.lineno + 1) if body or isinstance(node, ast.Import | ast.ImportFrom) else 0
 
 
+def statements(node: ast.AST) -> Iterator[ast.stmt]:
+    """Yield the statements of a file at any depth, without their expressions, of which there are ten times as many."""
+    for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for one in getattr(node, part, ()):
+            if isinstance(one, ast.stmt):
+                yield one
+            yield from statements(one)
+
+
 def test_files_and_functions_stay_short() -> None:
     sources = {file.relative_to(PACKAGE): file.read_text("utf-8") for file in PACKAGE.rglob("*.py")}
-    nodes = [(file, node) for file, text in sources.items() for node in ast.walk(ast.parse(text))]
+    nodes = [(file, node) for file, text in sources.items() for node in statements(ast.parse(text))]
     functions = [(file, one) for file, one in nodes if isinstance(one, ast.FunctionDef)]
     imports = sum(lines_of(one, []) for _, one in nodes if isinstance(one, ast.Import | ast.ImportFrom))
     lines = {file: text.count("\n") for file, text in sources.items()}

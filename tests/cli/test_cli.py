@@ -42,7 +42,7 @@ def test_run_takes_a_folder_and_prints_a_line_for_each_case(capsys, tmp_path):
     assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall", "A truss over a"))
 
 
-@pytest.mark.parametrize("case", ["cattaneo_mindlin_sphere", "cable_on_floor"])
+@pytest.mark.parametrize("case", [pytest.param("cattaneo_mindlin_sphere", marks=pytest.mark.slow), "cable_on_floor"])
 def test_of_a_case_with_much_to_tell_the_answer_stands_on_a_screen_and_words_are_whole(capsys, case):
     out = run(capsys, "run", case)[1]
     lines = out.splitlines()

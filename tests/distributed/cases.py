@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 # Numbers of ranks that lists of cases are run on; more of them take minutes on two cores.
-RANKS = (3, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 2, 4)))
+RANKS = (2, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3, 4)))
 
 
 def few_and_all(few: tuple[str, ...], every: tuple[str, ...]) -> list[object]:
-    """Numbers of ranks with what is run on them: a few of every kind on three, and the whole list on all of RANKS."""
+    """Numbers of ranks with what is run on them: a few of every kind on two, and the whole list on one to four."""
     assert set(few) <= set(every)
     slow = [pytest.param(count, every, marks=pytest.mark.slow, id=f"{count}-all") for count in (1, 2, 3, 4)]
-    return [pytest.param(3, few, id="3-few"), *slow]
+    return [pytest.param(2, few, id="2-few"), *slow]
 
 
 # Two bodies of bars meet each other and a wall while the load grows in six steps; 7 answers with the start.

@@ -53,16 +53,14 @@ def test_every_figure_and_word_is_that_of_one_process(
     assert unbalanced, "no answer leaves a floating body without balance"
 
 
-def test_a_tie_that_an_unknown_without_stiffness_takes_up_hides_no_tension(on_ranks: Callable[..., str]) -> None:
-    assert on_ranks("certificates.py", 2, "lever").count("judged") == 3
+def test_what_is_made_for_one_rule_is_judged_as_by_one_process(on_ranks: Callable[..., str]) -> None:
+    """A tie that an unknown without stiffness takes up hides no tension; forces behind a rigid motion are judged.
 
-
-def test_forces_behind_a_rigid_motion_are_judged_as_by_one_process(on_ranks: Callable[..., str]) -> None:
-    assert on_ranks("certificates.py", 2, "fallen").count("judged") == 6
-
-
-def test_rounding_of_a_load_across_what_bears_it_is_no_load_on_ranks_either(on_ranks: Callable[..., str]) -> None:
-    assert on_ranks("certificates.py", 2, "across").count("judged") == 2
+    Rounding of a load across what bears it is no load.
+    """
+    said = on_ranks("certificates.py", 2, "lever", "fallen", "across").splitlines()
+    problems = [line.partition(",")[0] for line in said]
+    assert problems == ["lever"] * 3 + ["fallen"] * 3 + ["pushed out"] * 3 + ["across the bar"] * 2
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])

@@ -16,7 +16,6 @@ CASES = (
     "stacked_blocks",  # three bodies of several kinds, gravity, nothing held sideways
     "cattaneo_mindlin_sphere",  # friction, node to segment, a path with corners
 )
-FEW = ("hertz_line", "block_on_paraboloid", "stacked_blocks")
 OF_A_FILE = """
 title = "A block from a file on a floor"
 source = "none"

@@ -76,7 +76,7 @@ def test_petscs_solvers_agree_with_the_active_set_and_are_judged_as_it_is(on_ran
     assert on_ranks("comparing.py", ranks, tmp_path) == "compared\n"
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3))])
 def test_its_levels_are_those_of_whole_matrices_and_its_spectrum_ends_at_one(
     on_ranks: Callable[..., str], count: int
 ) -> None:

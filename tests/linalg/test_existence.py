@@ -291,13 +291,13 @@ def test_a_displacement_that_diverges_proves_a_drive_without_a_linear_program(mo
     assert load @ proof.motion > 0
 
 
-def test_a_smooth_motion_of_a_long_chain_is_no_proof() -> None:
+@pytest.mark.parametrize("size", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_a_smooth_motion_of_a_long_chain_is_no_proof(size: int) -> None:
     """A beam of ten thousand differences resists it by less than rounding of its entries, and holds all the same."""
-    size = 10_000
     second = sp.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(size, size))
     K = sp.csr_matrix(second.T @ second)
     smooth = np.sin(np.pi * (np.arange(size) + 1) / (size + 1))
-    assert np.max(abs(K @ smooth)) < 2e-14
+    assert np.max(abs(K @ smooth)) < 2e-14 * (10_000 / size) ** 4
     problem = cq.ContactProblem(K, np.ones(size), -sp.identity(size, format="csr"), np.ones(size))
     diverged = Candidate(1e20 * smooth, np.zeros(size), np.zeros(0), claimed=False)
     refuse_ray(problem, diverged)

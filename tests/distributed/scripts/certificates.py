@@ -147,8 +147,9 @@ def across(ranks: Ranks) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] in (["lever"], ["fallen"], ["across"]):
-        sys.exit({"lever": pulling, "fallen": fallen, "across": across}[sys.argv[1]](Ranks()))
+    made_here = {"lever": pulling, "fallen": fallen, "across": across}
     for name in sys.argv[1:]:
-        scene = cq.load_scene(CASES / f"{name}.toml")
-        judge(build(scene).problem, Ranks(), name)
+        if name in made_here:
+            made_here[name](Ranks())
+        else:
+            judge(build(cq.load_scene(CASES / f"{name}.toml")).problem, Ranks(), name)
