@@ -225,7 +225,7 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
         certificate = judge.certify(f"certify {name}", u, force, None, tie)
         if certificate is None:
             continue
-        errors = truth.errors(u, force)
+        errors = truth.errors(u, force, tie)
         _judge_bounds(judge, truth, f"certify {name}", name, certificate, errors)
         off = errors.energy if truth.nullity > 0 and _in_other_units(judge) else errors.worst
         excused = _strains_nothing(truth, u) or _says_nothing_pushes(certificate)
