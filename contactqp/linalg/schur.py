@@ -38,6 +38,7 @@ from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, Pardiso, available
 from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root
+from contactqp.model.problem import ContactProblem
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
 # 1e12: S is as accurate as without springs, up to 30 times more than with T = 1; f_S is as accurate as with T = 1, up
@@ -331,5 +332,71 @@ def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
         found = np.empty(size)
         found[order] = dgbtrs(factors, width, width, right[order], exchanges)[0]
         return found
+
+    return solve
+
+
+class PivotedSaddle:
+    """The saddle point of closed contacts and ties that nearly depend on each other, by factors with pivots.
+
+        [ a K  E_C' ] [ u   ]   [ a f ]
+        [ E_C       ] [ a l ] = [ g_C ]
+
+    With a beneath the least singular value of the rows the condition number of the matrix is that of the rows, and not
+    its square (Bjorck 1996, section 2.5.1).
+
+    Raises BackendFailed: the rows depend on each other, or the factors may have too many entries.
+
+    Parameters
+    ----------
+    problem : ContactProblem, equilibrated
+    closed : (c,) array of int, the closed contacts
+    part : float, a
+    """
+
+    def __init__(self, problem: ContactProblem, closed: Indices, part: float) -> None:
+        rows = sp.vstack([problem.normal[closed], problem.tie])
+        self._part, self._contacts = part, len(closed)
+        self._factor = with_pivots(sp.bmat([[part * problem.stiffness_rows, rows.T], [rows, None]], format="csc"))
+
+    def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
+        """Return corrections of u, l and nu for residuals, and the back-substitutions: one."""
+        u, carried = np.split(self._factor(np.concatenate([self._part * force, gap, tie])), [len(force)])
+        return u, carried[: self._contacts] / self._part, carried[self._contacts :] / self._part, 1
+
+
+# Rows onto whose multipliers unknowns are eliminated that nothing else couples: dense work of so few costs nothing.
+FEW_ROWS = 200
+
+
+def uncoupled(stiffness: Any, rows: Any, regularisation: float) -> Callable[[Vector], Vector] | None:
+    """Return a function that solves the regularised saddle point of a diagonal stiffness and few rows, else None.
+
+        [ D   R' ] [ u ]   [ f ]
+        [ R  -d  ] [ l ] = [ g ],      (R D^-1 R' + d) l = R D^-1 f - g,      u = D^-1 (f - R' l),      D = K + d
+
+    A sparse solver spends most of its time on an order of elimination there (Schur-complement method, Nocedal and
+    Wright 2006, section 16.2).
+
+    Parameters
+    ----------
+    stiffness : (n, n) sparse matrix, K
+    rows : (k, n) sparse matrix, R
+    regularisation : d, positive
+    """
+    (count, n), diagonal = rows.shape, stiffness.diagonal()
+    if count > FEW_ROWS or stiffness.nnz > n or not np.all(diagonal > 0):
+        return None
+    diagonal, across, factor = diagonal + regularisation, sp.csr_matrix(rows.T), None
+    if count:
+        schur = (rows @ sp.diags(1.0 / diagonal) @ across).toarray() + regularisation * np.eye(count)
+        factor = DenseCholesky((schur + schur.T) / 2)
+
+    def solve(right: Vector) -> Vector:
+        u: Vector = right[:n] / diagonal
+        if factor is None:
+            return u
+        pushed = factor.solve(rows @ u - right[n:])
+        return np.asarray(np.concatenate([u - (across @ pushed) / diagonal, pushed]))
 
     return solve

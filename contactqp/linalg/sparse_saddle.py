@@ -26,7 +26,7 @@ from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, exten
 from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import outer_forces, row_sizes
-from contactqp.linalg.schur import LARGE, factorised, with_pivots
+from contactqp.linalg.schur import LARGE, PivotedSaddle, factorised, uncoupled
 from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -105,6 +105,9 @@ class SparseSaddle:
         self._free = np.delete(np.arange(problem.dimension), self._fixed)
         rows = self._rows[self._left][:, self._free]
         stiffness = self._K[self._free][:, self._free] if self._fixed.size else self._K
+        if (solve := uncoupled(stiffness, rows, regularisation)) is not None:
+            self._factor = solve
+            return
         upper = with_added_diagonal(stiffness, np.full(len(self._free), regularisation))
         lower = -regularisation * sp.identity(rows.shape[0])
         matrix = sp.bmat([[upper, rows.T], [rows, lower]], format="csc") if rows.shape[0] else upper.tocsc()
@@ -169,42 +172,14 @@ class SparseSaddle:
         return *found, 1 + CORRECTIONS
 
 
-class PivotedSaddle:
-    """The saddle point of closed contacts and ties that nearly depend on each other, by factors with pivots.
-
-        [ a K  E_C' ] [ u   ]   [ a f ]
-        [ E_C       ] [ a l ] = [ g_C ]
-
-    With a beneath the least singular value of the rows the condition number of the matrix is that of the rows, and not
-    its square (Bjorck 1996, section 2.5.1).
-
-    Raises BackendFailed: the rows depend on each other, or the factors may have too many entries.
-
-    Parameters
-    ----------
-    problem : ContactProblem, equilibrated
-    closed : (c,) array of int, the closed contacts
-    part : float, a
-    """
-
-    def __init__(self, problem: ContactProblem, closed: Indices, part: float) -> None:
-        rows = sp.vstack([problem.normal[closed], problem.tie])
-        self._part, self._contacts = part, len(closed)
-        self._factor = with_pivots(sp.bmat([[part * problem.stiffness_rows, rows.T], [rows, None]], format="csc"))
-
-    def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
-        """Return corrections of u, l and nu for residuals, and the back-substitutions: one."""
-        u, carried = np.split(self._factor(np.concatenate([self._part * force, gap, tie])), [len(force)])
-        return u, carried[: self._contacts] / self._part, carried[self._contacts :] / self._part, 1
-
-
 @dataclass
 class Effort:
     """The number of factorisations and back-substitutions of saddle points so far, and what they may be spent on.
 
     `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
     after which no more are made; `cut` says that one was not made for either reason. `pivots` says whether rows that
-    are not met together get factors with pivots, `in_vain` how often these led to no solution.
+    are not met together get factors with pivots, `in_vain` how often these led to no solution. `first` is what was
+    added to the diagonal where sweeps met a set of contacts: for the sets that follow it is tried first.
     """
 
     factorisations: int = 0
@@ -214,6 +189,7 @@ class Effort:
     cut: bool = False
     pivots: bool = False
     in_vain: int = 0
+    first: float = REGULARISATIONS[0]
 
     def exhausted(self) -> bool:
         """Return whether no more factorisations may be made, and note in `cut` that one was wanted."""
@@ -356,7 +332,7 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
     problem, closed, start, effort : ContactProblem, (m,) mask, ExtendedAnswer, Effort
     """
     state = ClosedState.started(problem, closed, start)
-    for regularisation in REGULARISATIONS:
+    for regularisation in sorted(REGULARISATIONS, key=lambda added: added != effort.first):
         try:
             saddle = kept_saddle(problem, closed, regularisation, effort)
         except BackendFailed:  # too little was added for pivots on the diagonal
@@ -367,6 +343,7 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
             break
         state = after
         if state.residual <= FINE:
+            effort.first = regularisation
             break
     return by_pivots(state, effort) if effort.pivots and state.length_residual > MET_TOGETHER else state
 

@@ -67,10 +67,8 @@ from contactqp.solving.methods import (
 )
 from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
-from contactqp.solving.sparse_run import SparseRun, has_sparse_systems
+from contactqp.solving.sparse_run import SPARSE, SparseRun, after, by_sparse_systems, has_sparse_systems
 
-# The active set on sparse systems, nothing being condensed.
-SPARSE = "sparse"
 # Arguments that every method has; all others are options of its own.
 OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
@@ -251,18 +249,20 @@ def _solve(
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
-            raise
+            if limited or systems is not Systems.CONDENSED or isinstance(error, NotConverged):
+                raise
+            return by_sparse_systems(problem, find(method), settings, error)
         systems = systems_of(problem)  # what has failed may have found that a body floats
         if systems is Systems.ITERATED:
             if not may_be_factorised(problem):
                 raise
             with factorised(problem):
-                return _after(error, "factorised", solve(problem, method, warm_start=warm_start, **same))
+                return after(error, "factorised", solve(problem, method, warm_start=warm_start, **same))
         if systems is Systems.SPARSE:
             if not (problem.frictional or may_be_condensed(problem)):
                 raise  # the other routes condense
             condense_anyway(problem)
-            return _after(error, "condensed", solve(problem, method, warm_start=warm_start, **same))
+            return after(error, "condensed", solve(problem, method, warm_start=warm_start, **same))
         # With friction the default has tried all algorithms where none converges.
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
@@ -294,12 +294,6 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
     if problem.contacts + problem.ties > problem.dimension:
         return {SPARSE: routes.pop(SPARSE), **routes}
     return routes
-
-
-def _after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
-    """Return the solution of a later attempt with the message and the work of the one that failed before."""
-    spent = first.work if isinstance(first := error.solution, Solution) else Work()
-    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:

@@ -8,13 +8,14 @@ central path go on from its answer (`contactqp.linalg.interior_point`), or a lin
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from contactqp.certificate.energy_bounds import unique_on
-from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mostly_bare
@@ -31,9 +32,9 @@ from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
 )
-from contactqp.model.arrays import all_finite, on_one_thread, refuse_late, tell
+from contactqp.model.arrays import METHOD, all_finite, on_one_thread, one_blas_thread, refuse_late, stage, tell
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Final, Work
+from contactqp.model.solution import Answer, Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
@@ -50,6 +51,7 @@ IDENTIFICATIONS = (
     ("piqp", 1e-11, OWN),
 )
 OF_BOUNDS = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
+NEARER = 1e-11  # a backend's tolerance where its first answer settles on nothing
 # Where its factors broke down Clarabel is asked for the equilibrated problem next, and all is made of its answer before
 # others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
 # So it is where it stops short of the answer of a program, or calls it infeasible and `refuse_ray` finds no proof.
@@ -58,6 +60,9 @@ BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter
 ENOUGH = 1e-18
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
+
+
+SPARSE = "sparse"  # the name of this route where others are tried before
 
 
 def has_sparse_systems(method: Method) -> bool:
@@ -82,6 +87,7 @@ class SparseRun(Run):
         self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
         self._twin, self._scaling = equilibrated(problem)
         self._state: ClosedState | None = None
+        self._settings = settings
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
         refuse_late(f"{method.name} began")
@@ -185,10 +191,28 @@ class SparseRun(Run):
         self._state = state if state.holds else None
         return state
 
+    def _ask_again(self) -> None:
+        """Ask a backend for a nearer answer, in other units, where its first leads to nothing."""
+        options = dict(self._settings.options) or (OF_TWINS if self.name == "clarabel" else {})
+        units = [(self._twin, self._scaling)] + [balanced(self.problem)] * mostly_bare(self.problem)
+        for twin, scaling in units:
+            given = Settings(NEARER, None, self._settings.now.time_limit, None, options)
+            try:
+                found = scaling.unscale(self.method.solve(twin, given))
+            except BackendFailed:
+                continue
+            if found.claimed and all_finite(found):
+                self._effort.wasted = WASTED
+                if self._settle(found).holds:
+                    self.candidate = found
+                    break
+
     def final(self) -> Final:
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
         if self._state is None and self.polish and self.method.polish and all_finite(self.candidate):
             self._settle(self.candidate)
+            if self._state is None and not self._settings.max_iter:
+                self._ask_again()
         if self._state is None:
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
@@ -227,6 +251,35 @@ class SparseRun(Run):
             return  # it meets them all to rounding of the largest length
         refuse_sparse_conflict(self.problem)
         refuse_sparse_drive(self.problem)
+
+
+def by_sparse_systems(problem: ContactProblem, method: Method, settings: Settings, error: NotCertified) -> Solution:
+    """Return the certified solution that a backend leads to on sparse systems where condensed ones lose its answer.
+
+    Raises the error where these lead to none, with friction, and for methods that are shown dense matrices.
+
+    Parameters
+    ----------
+    problem, method, settings
+        As in `Run`.
+    error : what the answer on condensed systems was refused with
+    """
+    if problem.frictional or method.kind == CONDENSES_ITSELF or not has_sparse_systems(method):
+        raise error
+    started = time.perf_counter()
+    try:
+        with problem.lock, one_blas_thread(problem), stage(METHOD):
+            run = SparseRun(problem, method, settings)
+        run.seconds = time.perf_counter() - started
+        return after(error, SPARSE, run.finish())
+    except (BackendFailed, NotCertified, NotConverged):
+        raise error from None
+
+
+def after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
+    """Return the solution of a later attempt with the message and the work of the one that failed before."""
+    spent = first.work if isinstance(first := error.solution, Solution) else Work()
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
