@@ -214,7 +214,7 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
 
 def _taken_by(rows: Any, residual: Vector) -> Vector:
     """Bound the forces on rows (a,) that balance residuals of at most these sizes (n,); zero where rows are many."""
-    touched, none = np.unique(rows.indices), np.zeros(rows.shape[0])
+    touched, none = np.flatnonzero(np.bincount(rows.indices)), np.zeros(rows.shape[0])
     if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
         return none
     entries = rows[:, touched].toarray()

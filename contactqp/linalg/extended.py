@@ -159,7 +159,7 @@ class SparseRows:
         lengths = rows.indptr[1:] - rows.indptr[:-1]
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
         short = (lengths > 0) & (lengths <= LONG)
-        classes = np.unique(width_class[short])
+        classes = np.flatnonzero(np.bincount(width_class[short]))
         self._blocks = [_block(rows, np.flatnonzero((width_class == c) & short)) for c in classes]
         self._long = [
             (i, rows.data[rows.indptr[i] : rows.indptr[i + 1]], rows.indices[rows.indptr[i] : rows.indptr[i + 1]])

@@ -166,7 +166,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     times = FRICTION_CONDENSED if problem.frictional else 1.0
     if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
         return False  # a row touches an unknown by an entry
-    dense = times * float(len(np.unique(np.concatenate([some.indices for some in rows])))) ** 3
+    dense = times * float(np.count_nonzero(np.bincount(np.concatenate([some.indices for some in rows])))) ** 3
     if not problem.frictional and problem.contacts + problem.ties > problem.dimension:
         dense *= max(1.0, dense ** (1 / 3) / OF_A_VERTEX)
     lengths = np.concatenate([some.indptr[1:] - some.indptr[:-1] for some in rows])

@@ -47,6 +47,8 @@ SMALL_STIFFNESS, MOST_IN_VAIN = (1e-4, 1e-8, 1e-12), 3
 MET_TOGETHER = 1e-20
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
 SWEEPS, CONTRACTS = 20, 0.3
+# After one that leaves more than this part none follows; two in turn end them where they leave more than CONTRACTS.
+CREEPS = 0.5
 # Corrections in double precision before residuals are formed in extended precision: with the first solution they come
 # near to what the rounding of doubles leaves.
 CORRECTIONS = 2
@@ -403,9 +405,9 @@ def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle, effort: Eff
         after = _corrected(state, saddle, effort)
         if not after.better_than(state):
             break
-        slow = 0 if after.better_than(state, CONTRACTS) else slow + 1
+        slow = 0 if after.better_than(state, CONTRACTS) else slow + 1 + (not after.better_than(state, CREEPS))
         state = after
-        if slow == 2:
+        if slow >= 2:
             break
     return state
 
