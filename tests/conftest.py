@@ -29,16 +29,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled modules in pytest's cache where Python is told to leave none beside the sources.
+    """Have modules compiled once, by a plain `compile`.
 
-    The processes of pytest-xdist and the hundred and more that tests start would otherwise compile all anew.
+    The processes of pytest-xdist and the hundred and more that tests start would compile all of them anew where Python
+    is told to leave nothing beside the sources. The package has a plugin of pytest, which would rewrite the asserts of
+    all its files, as it does with those of tests.
     """
-    cache = getattr(config, "cache", None)
-    if cache is None or "PYTHONDONTWRITEBYTECODE" not in os.environ:
-        return
-    del os.environ["PYTHONDONTWRITEBYTECODE"]
-    os.environ.setdefault("PYTHONPYCACHEPREFIX", str(cache.mkdir("bytecode")))
-    sys.dont_write_bytecode, sys.pycache_prefix = False, os.environ["PYTHONPYCACHEPREFIX"]
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
+    getattr(config.pluginmanager.rewrite_hook, "_must_rewrite", set()).discard("contactqp")
 
 
 @pytest.hookimpl(tryfirst=True)

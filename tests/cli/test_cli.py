@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -467,6 +468,7 @@ def test_cases_side_by_side_print_what_they_print_one_by_one(capsys, tmp_path):
     files = [CASES / "truss_floor.toml", turned, CASES / "two_bars.toml"]
     one_by_one, together = (run(capsys, "run", *files, "--jobs", jobs) for jobs in ("1", "2"))
     assert one_by_one == together
+    assert not [thread.name for thread in threading.enumerate() if "Executor" in type(thread).__name__]
     code, out, err = together
     assert code == 1
     assert err.count("contactqp: warning: ") == 1

@@ -109,6 +109,7 @@ def test_streams_that_are_closed_are_no_traceback(closed: str, arguments: str, c
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_processes_side_by_side_have_ended_when_the_command_has(capsys: pytest.CaptureFixture[str]) -> None:
     """What the pool's own thread still closes while Python ends was a traceback now and then."""
     for _ in range(2):

@@ -76,6 +76,7 @@ def test_the_problem_is_that_of_one_process(on_ranks, ranks, of_a_file):
     assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in (*CASES, "of_a_file")]
 
 
+@pytest.mark.slow
 def test_a_wrong_problem_is_seen(on_ranks):
     # Both ranks may speak at once.
     with pytest.raises(pytest.fail.Exception, match=r"(?s)AssertionError.*load"):

@@ -95,6 +95,7 @@ def test_friction_of_a_block_that_slips_is_its_part_of_the_normal_force(
     assert pair.friction == pytest.approx(pair.reference_friction, rel=2e-2)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("push", [1e-4, 1e-2])
 def test_friction_of_many_faces_is_that_of_nodes_and_what_both_differ_by_on_springs(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, push: float

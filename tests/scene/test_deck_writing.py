@@ -34,6 +34,7 @@ def test_the_answer_of_the_deck_is_that_of_the_scene(tmp_path: pathlib.Path) -> 
     assert np.allclose(cq.solve(problem).displacement, expected, atol=1e-9 * abs(expected).max())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["hertz_line", "floating_disc", "hertz_sphere", "stacked_blocks"])
 def test_a_plane_is_a_plate_whose_nodes_are_held(tmp_path: pathlib.Path, name: str) -> None:
     scene = cq.load_scene(CASES / f"{name}.toml")
