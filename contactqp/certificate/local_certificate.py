@@ -359,15 +359,22 @@ def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayL
 def scaled_natural_map(problem: LocalProblem, force: Array, joint_force: Vector) -> float:
     """Return the largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
-    Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own
-    unit changes them. With no offset and no load at all it is relative to the velocities that meet.
+    With the offset q_T - u_T a contact would stick. Where |n_i| without slip and |u_T| come to less than |n_i| that is
+    the distance from an answer: a large mu makes much of a slip that is rounding. Forces r_i / s_i and velocities
+    s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own unit changes them. With no offset
+    and no load at all it is relative to the velocities that meet.
     """
     scale, shape = problem.contact_scale[:, None], (problem.contacts, problem.dimension)
-    residual = natural_map(force / scale, scale * velocity_of(problem, force, joint_force), problem.friction)
+    velocity = scale * velocity_of(problem, force, joint_force)
+    sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
+    missed, missed_sticking = (
+        lengths(natural_map(force / scale, each, problem.friction)) for each in (velocity, sticking)
+    )
+    residual = np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))
     drive = (scale * problem.offset.reshape(shape), problem.bilateral_offset * problem.joint_scale)
     size = max(float(np.max(abs(part), initial=0.0)) for part in drive)
     size = size or float(np.max(scale * _meeting(problem, force, joint_force).reshape(shape), initial=0.0)) or 1.0
-    return float(np.max(lengths(residual / size), initial=0.0))
+    return float(np.max(residual / size, initial=0.0))
 
 
 def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:

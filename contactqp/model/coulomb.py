@@ -98,16 +98,36 @@ def de_saxce(velocity: Vectors, friction: Vector) -> Vectors:
     return shifted
 
 
-def natural_map(force: Vectors, velocity: Vectors, friction: Vector) -> Vectors:
-    """Return r - P_K(r - (u + mu |u_T| e_N)) (m, d), which is zero exactly where the law holds.
+# A friction force within this part of mu r_N, either way, is mu r_N: doubles come no nearer.
+ON_CONE = 4 * float(np.finfo(float).eps)
 
-    Where r - (...) lies in K the difference is (...), which is not lost beside a force that is very large.
+
+def natural_map(force: Vectors, velocity: Vectors, friction: Vector) -> Vectors:
+    """Return n = r - P_K(r - v), v = u + mu |u_T| e_N (m, d), which is zero exactly where the law holds.
+
+    It is computed from velocities and the distance of r from the cone, never as a difference of forces or of mu |u_T|,
+    beside which velocities would be lost where redundant contacts press on each other or mu is large. In K n is v, in
+    its polar cone r. Outside, with the direction t of r_T - u_T and e = |r_T| - mu r_N + |r_T - u_T| - |r_T| - |u_T|,
+
+        n_N = (u_N - mu e) / (1 + mu^2),    n_T = u_T + |u_T| t + (e + mu u_N) t / (1 + mu^2).
     """
-    step = de_saxce(velocity, friction)
+    slip, slid, step = velocity[:, 1:], lengths(velocity[:, 1:]), de_saxce(velocity, friction)
     moved = force - step
+    given, size, t = lengths(force[:, 1:]), lengths(moved[:, 1:]), directions(moved[:, 1:])
+    bound = friction * force[:, 0]
+    excess = np.where(abs(given - bound) <= ON_CONE * (given + abs(bound)), 0.0, given - bound)
+    # |r_T - u_T| - |r_T| = -u_T'(2 r_T - u_T) / (|r_T - u_T| + |r_T|)
+    whole = (size + given)[:, None]
+    both = np.divide(moved[:, 1:] + force[:, 1:], whole, out=np.zeros_like(slip), where=whole > 0)
+    excess = excess - np.sum(both * slip, axis=1) - slid
+    root = np.hypot(1.0, friction)
+    across, along = 1.0 / root, friction / root
     # Without friction the cone is a half line, and -0 is no side of it.
-    inside = (lengths(moved[:, 1:]) <= friction * moved[:, 0]) & (moved[:, 0] >= 0)
-    return np.where(inside[:, None], step, force - onto_cone(moved, friction))
+    inside = (across * excess + along * velocity[:, 0] + root * slid <= 0) & (moved[:, 0] >= 0)
+    normal = across * (across * velocity[:, 0] - along * excess)
+    tangential = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
+    missed = np.where((friction * size <= -moved[:, 0])[:, None], force, np.column_stack([normal, tangential]))
+    return np.where(inside[:, None], step, missed)
 
 
 # Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.

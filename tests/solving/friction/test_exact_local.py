@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.model import coulomb
 from contactqp.solving.friction.exact_enumeration import has_local_equilibrium
 
 
@@ -47,3 +48,62 @@ def test_random_problems_with_joints_agree_with_the_enumeration_in_floats(seed: 
         delassus=root @ root.T, offset=rng.normal(size=2 * m), friction=rng.uniform(0, 2), dimension=2, **joints
     )
     assert has_local_equilibrium(problem) == bool(cq.equilibria(problem))
+
+
+def test_velocities_are_not_lost_beside_forces_of_redundant_contacts() -> None:
+    """No state is an equilibrium, in rationals; rounding of W let forces of 1e14 pass, at a velocity of -0.39."""
+    W = np.array(
+        [
+            [1, 0, 0, -1, 0, 0],
+            [0, 16, -4, 12, -12, -8],
+            [0, -4, 2, -4, 2, 2],
+            [-1, 12, -4, 11, -8, -6],
+            [0, -12, 2, -8, 10, 6],
+            [0, -8, 2, -6, 6, 4],
+        ]
+    )
+    V, R = np.array([[2, 2], [-12, 0], [4, -4], [-12, 2], [8, 4], [6, 0]]), np.diag([14.0, 20.0])
+    parts = dict(bilateral=V * 1e60, bilateral_delassus=R * 1e60, bilateral_offset=[-3.0, 1.0])
+    problem = cq.LocalProblem(W * 1e60, [-1.0, -5.0, 2.0, 3.0, -1.0, 4.0], [1.0, 0.0, 0.25], 2, **parts)
+    forces = [[1.5373838e-46, 1.5373838e-46], [0.0, 0.0], [2.5788375e-46, -6.4470938e-47]]
+    certificate = cq.certify_local(problem, forces, [-9.918606e-48, -6.695059e-47])
+    assert not certificate.passed
+    assert certificate.natural_map > 1e-3
+    with pytest.raises(cq.NotConverged):
+        cq.solve(problem)
+
+
+@pytest.mark.parametrize("friction", [1e4, 1e8, 1e12, 1e100])
+def test_a_large_coefficient_makes_nothing_of_a_slip_that_is_rounding(friction: float) -> None:
+    """W r + q at exact forces slips by some 1e-16, and mu times that was the error of the law."""
+    W, q = np.array([[3.0, 1.0], [1.0, 7.0]]), np.array([-1.0, -0.3])
+    problem = cq.LocalProblem(W, q, friction, 2)
+    force = np.linalg.solve(W, -q)  # sticks: |r_T| is far below mu r_N
+    assert cq.certify_local(problem, force).natural_map < 1e-15
+    np.testing.assert_allclose(cq.solve(problem).force[0], force, rtol=1e-14)
+    printed = [float(f"{value:.6g}") for value in force]
+    assert cq.certify_local(problem, printed, tolerance=1e-4).passed
+    assert not cq.certify_local(problem, force * [1.0, 1.001], tolerance=1e-5).passed  # it would slip by 3e-4
+
+
+def test_what_slides_with_a_large_coefficient_passes() -> None:
+    """Nothing resists the slip, so that mu r_N stands against it, whatever mu; with less friction it is refused."""
+    problem = cq.LocalProblem([[3.0, 0.0], [0.0, 0.0]], [-4.0, 5.0], 1e8, 2)
+    assert cq.certify_local(problem, [4 / 3, -4e8 / 3]).passed
+    assert not cq.certify_local(problem, [4 / 3, -3.9e8 / 3]).passed
+    assert not cq.certify_local(problem, [4 / 3, 4e8 / 3]).passed
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_natural_map_is_the_distance_to_a_projection(dimension: int) -> None:
+    """It is computed without differences of forces; where these lose nothing both are the same."""
+    rng = np.random.default_rng(dimension)
+    force, velocity = rng.normal(size=(2, 3000, dimension))
+    friction = rng.choice([0.0, 0.1, 0.5, 1.0, 5.0, 1e3], 3000)
+    force[:500], velocity[250:1000] = 0.0, 0.0
+    sliding = np.arange(3000) % 3 == 0
+    ratio = friction * abs(force[:, 0]) / np.maximum(coulomb.lengths(force[:, 1:]), 1e-300)
+    force[sliding, 1:] *= ratio[sliding, None]
+    shifted = force - coulomb.de_saxce(velocity, friction)
+    expected = force - coulomb.onto_cone(shifted, friction)
+    np.testing.assert_allclose(coulomb.natural_map(force, velocity, friction), expected, atol=1e-11)
