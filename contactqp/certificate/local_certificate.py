@@ -38,7 +38,17 @@ from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, directions, lengths, natural_map
+from contactqp.model.coulomb import (
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    Status,
+    directions,
+    distance_from_law,
+    lengths,
+    natural_map,
+)
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
@@ -118,8 +128,7 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
 
 
 # Siconos divides by no scale that is smaller than these.
-LEAST_LOCAL_SCALE = float(np.finfo(float).eps)
-LEAST_GLOBAL_SCALE = float(np.sqrt(np.finfo(float).eps))
+LEAST_LOCAL_SCALE, LEAST_GLOBAL_SCALE = 2.0**-52, 2.0**-26
 
 
 @checked
@@ -254,6 +263,8 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
 NOTHING = 1e-12
+# What the last digits of forces make of a velocity, and of the direction of a slip, over the velocities that meet.
+ROUNDING_OF_VELOCITIES = 4 * float(np.finfo(float).eps)
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
 
@@ -359,22 +370,17 @@ def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayL
 def scaled_natural_map(problem: LocalProblem, force: Array, joint_force: Vector) -> float:
     """Return the largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
-    With the offset q_T - u_T a contact would stick. Where |n_i| without slip and |u_T| come to less than |n_i| that is
-    the distance from an answer: a large mu makes much of a slip that is rounding. Forces r_i / s_i and velocities
-    s_i u_i are roots of energies, s the problem's `contact_scale`: no contact's own unit changes them. With no offset
-    and no load at all it is relative to the velocities that meet.
+    |n_i| is the `distance_from_law`. Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's
+    `contact_scale`: no contact's own unit changes them. With no offset and no load at all it is relative to the
+    velocities that meet.
     """
     scale, shape = problem.contact_scale[:, None], (problem.contacts, problem.dimension)
     velocity = scale * velocity_of(problem, force, joint_force)
-    sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
-    missed, missed_sticking = (
-        lengths(natural_map(force / scale, each, problem.friction)) for each in (velocity, sticking)
-    )
-    residual = np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))
+    missed = distance_from_law(force / scale, velocity, problem.friction)
     drive = (scale * problem.offset.reshape(shape), problem.bilateral_offset * problem.joint_scale)
     size = max(float(np.max(abs(part), initial=0.0)) for part in drive)
     size = size or float(np.max(scale * _meeting(problem, force, joint_force).reshape(shape), initial=0.0)) or 1.0
-    return float(np.max(residual / size, initial=0.0))
+    return float(np.max(missed / size, initial=0.0))
 
 
 def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:
@@ -402,7 +408,7 @@ class _Measured:
         met = _meeting(problem, r, joint).reshape(shape)
         self._along, self._across = met[:, 0], np.max(met[:, 1:], axis=1, initial=0.0)
         self._nothing = NOTHING * _size(problem, met)
-        self._own = _own_blocks(problem)
+        self._own = problem.own_compliances
         scale = problem.contact_scale
         u = np.where(abs(u) * scale[:, None] > self._nothing, u, 0.0)
         bound = problem.friction * np.maximum(r[:, 0], 0.0)
@@ -414,7 +420,9 @@ class _Measured:
         self.tension = np.maximum(-self.push, 0.0)
         self.complementarity = np.maximum(np.minimum(_part(u[:, 0], self._along), self.push), 0.0)
         self.cone = self._measure(np.maximum(size - bound, 0.0), 1)
-        self.slip_direction = np.minimum(self.slip, self._measure(lengths(wrong), 1))
+        turned = np.minimum(_part(np.full(len(bound), ROUNDING_OF_VELOCITIES), self.slip), 1.0)
+        wrong_size = np.maximum(lengths(wrong) - turned * bound, 0.0)
+        self.slip_direction = np.minimum(self.slip, self._measure(wrong_size, 1))
         if not problem.joints:
             self.joints = np.zeros(0)
             return
@@ -453,16 +461,6 @@ def _part(size: Vector, whole: Vector) -> Vector:
     return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
-def _own_blocks(problem: LocalProblem) -> Array:
-    """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
-    entries, d = problem.delassus.tocoo(), problem.dimension
-    kind = np.minimum(entries.row % d, 1)
-    own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
-    largest = np.zeros((2, problem.contacts))
-    np.maximum.at(largest, (kind[own], entries.row[own] // d), abs(entries.data[own]))
-    return largest
-
-
 def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, Vector]:
     shape = (problem.contacts, problem.dimension)
     r = read_array("force", force)
@@ -475,8 +473,7 @@ def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
 
 
 def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
-    infinite = float("inf")
-    none = np.zeros(problem.contacts)
+    infinite, none = float("inf"), np.zeros(problem.contacts)
     figures: dict[str, Any] = dict.fromkeys(FIGURES, infinite)
     return LocalCertificate(
         natural_map=infinite,

@@ -130,6 +130,16 @@ def natural_map(force: Vectors, velocity: Vectors, friction: Vector) -> Vectors:
     return np.where(inside[:, None], step, missed)
 
 
+def distance_from_law(force: Vectors, velocity: Vectors, friction: Vector) -> Vector:
+    """Return |n| of each contact, or |u_T| + |n| without slip where that is less (m,).
+
+    With its velocities changed by u_T a contact sticks: a large mu makes much of a slip that is rounding.
+    """
+    sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
+    missed, missed_sticking = (lengths(natural_map(force, each, friction)) for each in (velocity, sticking))
+    return np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))
+
+
 # Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
 SIDES = 32
 

@@ -198,6 +198,16 @@ class LocalProblem(ReadOnly):
         return len(self.bilateral_offset)
 
     @property
+    def own_compliances(self) -> Array:
+        """The largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
+        entries, d = self.delassus.tocoo(), self.dimension
+        kind = np.minimum(entries.row % d, 1)
+        own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
+        largest = np.zeros((2, self.contacts))
+        np.maximum.at(largest, (kind[own], entries.row[own] // d), abs(entries.data[own]))
+        return largest
+
+    @property
     def _own_compliance(self) -> Vector:
         """The mean diagonal entry of each contact's own block (m,)."""
         return np.asarray(self.delassus.diagonal().reshape(self.contacts, self.dimension).mean(axis=1))

@@ -107,3 +107,14 @@ def test_the_natural_map_is_the_distance_to_a_projection(dimension: int) -> None
     shifted = force - coulomb.de_saxce(velocity, friction)
     expected = force - coulomb.onto_cone(shifted, friction)
     np.testing.assert_allclose(coulomb.natural_map(force, velocity, friction), expected, atol=1e-11)
+
+
+def test_the_last_digits_of_large_friction_may_turn_a_slip() -> None:
+    """Friction of 1e8 resists a slip of 1, so that its last digit turns the slip by 1e-8; a turn of 1e-6 is refused."""
+    direction = np.array([0.6, 0.8])
+    W = np.diag([1.0, 2.0, 3.0])
+    force = np.concatenate([[1.0], -1e8 * direction])
+    problem = cq.LocalProblem(W, np.concatenate([[0.0], direction]) - W @ force, 1e8, 3)
+    assert cq.certify_local(problem, force).passed
+    turned = np.array([[1.0, -1e-6], [1e-6, 1.0]]) @ force[1:]
+    assert not cq.certify_local(problem, [1.0, *turned]).passed
