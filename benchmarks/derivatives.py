@@ -19,6 +19,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,12 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
             tally.counts["reaches"] += found.reach is not None and true.reach is not None
             if found.bound is not None:
                 tally.counts["bounds"] += 1
-                if np.any(errors[1] > np.ravel(found.bound)):
+                exact_errors = [
+                    abs(Fraction(float(x)) - Fraction(y)) > Fraction(float(bound))
+                    for one, other in sides
+                    for x, y, bound in zip(np.ravel(one), np.ravel(other), np.ravel(found.bound), strict=True)
+                ]
+                if any(exact_errors):
                     tally.wrong.append(f"{where}: {name} by {parameter}: a bound is below the error")
 
 

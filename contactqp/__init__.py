@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from contactqp.analysis.derivatives import differentiable as differentiable
     from contactqp.analysis.history import History as History
     from contactqp.analysis.impact import impact as impact
     from contactqp.analysis.large_deformation import large_deformation as large_deformation
     from contactqp.analysis.load_cases import Solutions as Solutions
     from contactqp.analysis.load_path import follow_path as follow_path
+    from contactqp.analysis.many_loads import differentiable as differentiable
     from contactqp.analysis.many_loads import solve_many as solve_many
     from contactqp.analysis.motion.mass_matrix import redistributed_mass as redistributed_mass
     from contactqp.analysis.motion.motion_history import MotionHistory as MotionHistory
@@ -194,7 +194,7 @@ _HOME = {
     "compare": "study.comparison",
     "critical_friction": "certificate.critical_friction",
     "crosscheck": "oracle.foreign.crosscheck",
-    "differentiable": "analysis.derivatives",
+    "differentiable": "analysis.many_loads",
     "draw": "study.answer_pictures",
     "draw_history": "pictures.history_drawing",
     "equilibria": "solving.equilibria",

@@ -1,4 +1,4 @@
-"""The states of an answer's contacts near a border of two, and the steps along some rates until one is left.
+"""The states of an answer's contacts near a border of two.
 
 Certificates see a border within their tolerance. Here the answer is taken beyond double precision in given states, and
 what its gaps, forces, slips and margins are there decides.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,25 +22,22 @@ from contactqp.analysis.rate_systems import (
     Parts,
     Rates,
     RateSystem,
-    Scales,
     errors_of,
     shape_of_tangents,
 )
-from contactqp.certificate.certificate import certificate_of
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.friction_states import friction_bound, refined_in
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Solution
+from contactqp.model.solution import Answer
 
 # Combinations of states that contacts at a border may go to, at most.
 MOST_COMBINATIONS = 256
-# Whether answers with friction have bounds.
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 # Friction that misses its bound by this part of it is at its bound.
 AT_BOUND = 4 * EPS
 # In space, what doubles leave of a gap, a force or a slip beside what meets there, and of a bound beside the friction.
@@ -56,6 +53,8 @@ MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
 # Such parts of the friction that would hold them are what they start with beyond their bounds, at least.
 LEAST_STARTS = (0.1, 1e-3, 1.0)
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
+# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
+MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Contacts that are named in a reason.
 SHOWN = 5
 # The rates whose signs tell states.
@@ -183,62 +182,49 @@ def _beyond_doubles(
     return (push, drag.reshape(shape), gap, slip.reshape(shape)), force, nothing * normal, room.double()
 
 
-@dataclass(frozen=True, eq=False)
-class Margins:
-    """What keeps contacts in their states, or its rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
+class Scales:
+    """What turns quantities of a problem into square roots of energy, in which they compare."""
 
-    gap: Vector
-    push: Vector
-    drag: Array
-    slip: Array
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem = problem
 
+    def same(self, of: str, one: Rates, other: Rates) -> bool:
+        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
+        return self._apart(of, one, other) <= 0
 
-def steps_to_events(
-    mu: Vector | None, status: Status, now: Margins, rates: Margins, edges: Indices, rests: Indices, at_bound: Indices
-) -> Iterator[float]:
-    """Yield the steps along some rates at which contacts leave their states.
+    def _apart(self, of: str, one: Rates, other: Rates) -> float:
+        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
+        sizes = [self.of(name, getattr(rates, name)) for name in MEASURED for rates in (one, other)]
+        largest = max(float(np.max(abs(size), initial=0.0)) for size in sizes)
+        difference = self.of(of, getattr(one, of) - getattr(other, of))
+        return float(np.max(abs(difference), initial=0.0)) - SAME * largest
 
-    Parameters
-    ----------
-    mu : (m,) array, or None without friction
-    status : (m,) array of int, the states that the rates are of
-    now, rates : Margins, and how they change
-    edges : contacts that graze, of which neither forces nor gaps fall from nothing
-    rests : contacts whose slips begin here
-    at_bound : contacts whose friction is at its bound, which in the plane it may leave for the other
-    """
-    touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)
-    apart = np.setdiff1d(np.flatnonzero(status == OPEN), edges)
-    yield from falls(now.push[touching], rates.push[touching])
-    yield from falls(now.gap[apart], rates.gap[apart])
-    if mu is None:
-        return
-    slips = np.setdiff1d(np.flatnonzero((abs(status) == 1) & (mu > 0)), rests).astype(int)
-    along = status[slips].astype(float)
-    yield from falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
-    for i in np.setdiff1d(np.flatnonzero(status == STICK), edges):
-        push, drag, push_rate, drag_rate = now.push[i], now.drag[i], rates.push[i], rates.drag[i]
-        if len(drag) > 1:
-            yield from _reaches_bound(mu[i], push, drag, push_rate, drag_rate)
-            continue
-        bounds = np.array([side for side in (1.0, -1.0) if i not in at_bound or side * drag[0] < 0])
-        yield from falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
+    def are_one(self, one: Rates, other: Rates) -> bool:
+        """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""
+        sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
+        nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
+        return all(self._apart(name, one, other) <= nothing for name in MEASURED)
 
+    def of(self, name: str, values: Array) -> Vector:
+        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
+        unit, normal, tangent, tie = self.units
+        flat = values.ravel()
+        if name in ("displacement", "reaction"):
+            return flat / unit if name == "displacement" else flat * unit
+        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
+        if name in ("gap", "slip"):
+            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
+        return flat * length if flat.size else flat
 
-def falls(size: Vector, rate: Vector) -> Iterator[float]:
-    """Yield the steps at which positive sizes reach zero."""
-    falls = rate < 0
-    yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
-
-
-def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
-    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
-    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
-    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
-    c = float(drag @ drag) - (mu * push) ** 2
-    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
-    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
-    yield from sorted(real)[:1]
+    @cached_property
+    def units(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
+        problem, unit = self._problem, unknown_scale(self._problem)
+        rows = (problem.normal, problem.tangent, problem.tie)
+        normal, tangent, tie = (
+            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
+        )
+        return unit, normal, tangent, tie
 
 
 def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> ContactProblem:
@@ -355,6 +341,14 @@ def named(problem: ContactProblem, contacts: Indices) -> str:
     """Return the names of some contacts."""
     names = [problem.contact_name(int(i)) for i in contacts[:SHOWN]]
     return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
+
+
+def at_border(problem: ContactProblem, grazing: Indices, at_bound: Indices) -> str:
+    """Return which contacts graze and which stick at their bounds, in words."""
+    kinds = ((grazing, "grazes", "graze"), (at_bound, "sticks at its bound", "stick at their bounds"))
+    return "; ".join(
+        f"{named(problem, which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -475,16 +469,3 @@ def missed(problem: ContactProblem, scales: Scales, found: Rates, direction: Dir
     rates = [scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")]
     left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
     return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
-
-
-def is_proven(solution: Solution) -> bool:
-    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
-    problem, certificate = solution.problem, solution.certificate
-    if certificate.proven or not problem.frictional:
-        return certificate.proven
-    if solution not in _PROVEN:
-        forces = solution.normal_force, solution.friction_force, solution.tie_force
-        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
-        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
-        _PROVEN[solution] = found.proven
-    return _PROVEN[solution]

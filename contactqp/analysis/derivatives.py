@@ -3,45 +3,42 @@
 Rates follow from the states of the contacts (`contactqp.analysis.rates`). A gradient takes the transposed system, with
 weights z on what is asked for in place of the direction: its displacement and forces y are the gradients by load, gaps,
 slip origins and tie values, -(y u' + u y')/2 is that by K.
-
-Answers as functions of JAX and PyTorch, differentiated by what `pullback` says; neither is imported until asked for.
-
-A function takes what is varied by name, in double precision: load (n,), gap (m,), tie_value (k,), friction (m,),
-slip_origin (m, d-1), and stiffness, the entries (nnz,) of K on the pattern of `problem.stiffness_rows`. Every call is a
-certified solution, and its gradient one system with the same factors. Where an answer has no gradient, at a contact
-that grazes, the error says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.border_states import is_proven
-from contactqp.analysis.many_loads import solve_many
-from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Parts, Rates, errors_of, on_entries, on_pattern
+from contactqp.analysis.rate_systems import EPS, SAME, VECTORS, Direction, Parts, Rates, errors_of
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
-from contactqp.errors import BackendMissing, InvalidProblem, shown
+from contactqp.certificate.certificate import certificate_of
+from contactqp.errors import InvalidProblem, shown
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, own_floating_point
+from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import ReadOnly, read_array, read_only
-from contactqp.model.solution import Solution
-from contactqp.solving.solve import solve
+from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
+from contactqp.model.solution import Answer, Solution
 
 # What may be differentiated, and by what.
 FORCES = ("normal_force", "friction_force", "tie_force")
 QUANTITIES = ("displacement", *FORCES, "gap", "slip", "reaction", "energy")
 PARAMETERS = (*VECTORS, "stiffness", "rows")
+# A direction of the stiffness is symmetric to this part of its largest entry.
+SYMMETRIC = 1e-12
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
+
+
+# Whether answers with friction have bounds.
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +48,8 @@ class Derivative(ReadOnly):
     `left` and `right` are towards minus and plus the direction; `value` is both where they are one, else None, and
     `reason` says why. `reach` are the steps (back, ahead) along the direction, not negative, within which no contact
     changes its state; None where the answer is not linear along it, as for the stiffness and in space where something
-    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer along load,
-    gaps, slip origins and tie values, the energy left out; its rounding allowance is that of certificates. An answer
+    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer, None in
+    space where something slips; its rounding allowance is that of certificates. An answer
     with friction is proven, as by `contactqp.certify`, when it is first asked.
     """
 
@@ -100,7 +97,9 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     """
     _refuse_unknown(solution, of, with_respect_to)
     linearised = Linearised(solution)
-    return _along(linearised, of, linearised.reads(with_respect_to, direction), with_respect_to)
+    return _along(
+        linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
+    )
 
 
 @checked
@@ -124,7 +123,9 @@ def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
     columns = []
     for unit in np.eye(size):
         direction = unit.reshape(np.shape(getattr(solution.problem, with_respect_to)))
-        found = _along(linearised, of, linearised.reads(with_respect_to, direction), with_respect_to)
+        found = _along(
+            linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
+        )
         if found.value is None:
             raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {found.reason}")
         columns.append(np.ravel(found.value))
@@ -206,15 +207,16 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
     if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
-        rate = _rate_of_energy(linearised.solution, direction)
-        return Derivative(rate, rate, rate, True)
+        rate, error = _rate_of_energy(linearised, direction)
+        bound = error if linearised.sure and _is_proven(linearised.solution) else None
+        return Derivative(rate, rate, rate, True, bound)
     try:
         back, ahead = linearised.sides(direction)
     except NoRates as none:
         return Derivative(None, None, None, False, reason=str(none))
     if of in FORCES and (back.shared or ahead.shared):
         return Derivative(None, None, None, False, reason=REDUNDANT)
-    left, right = (_of_rates(linearised.solution, of, rates, direction) for rates in (back, ahead))
+    left, right = (_of_rates(linearised, of, rates, direction)[0] for rates in (back, ahead))
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
         meet = abs(_value(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
@@ -225,29 +227,94 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     if parameter in LINEAR and not turns:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
     bound = None
-    if parameter in LINEAR and of != "energy" and not turns and is_proven(linearised.solution):
-        both = [errors_of(linearised.problem, of, rates, direction) for rates in (back, ahead)]
+    seen = not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
+    if seen and linearised.sure and not turns and _is_proven(linearised.solution):
+        both = [_of_rates(linearised, of, rates, direction)[1] for rates in (back, ahead)]
         bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
     return Derivative(right if same else None, left, right, same, bound, reach, reason)
 
 
-def _of_rates(solution: Solution, of: str, rates: Rates, direction: Direction) -> Any:
-    """Return the rate of a quantity; of the energy with friction (Ku - f)'du - u'df + u'dK u / 2."""
+def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:
+    """Return the rate of a quantity, and what it may be off by or None where that is not known."""
     if of != "energy":
-        found: Array = read_only(getattr(rates, of))
-        return found
-    strained = float(-0.5 * solution.displacement @ direction.strained)
-    return float(-_value(solution, "reaction") @ rates.displacement - solution.displacement @ direction.load) + strained
+        return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)
+    return _energy_of_rates(linearised, rates, direction)
+
+
+def _energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) -> tuple[float, float | None]:
+    """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and what it may be off by."""
+    problem, solution, known, du = linearised.problem, linearised.solution, linearised.known, rates.displacement
+    if known is None or known.bound is None or rates.bound is None:
+        half = float(-0.5 * solution.displacement @ direction.strained)
+        return float(-_value(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
+    answer, off = known.found, known.bound
+    taken, error = np.zeros_like(du), np.zeros_like(du)  # what contacts and ties take of each unknown's load
+    for rows, force, apart in (
+        (problem.normal, answer.normal, off.normal), (problem.tie, answer.tie, off.tie),
+        (problem.tangent, answer.tangent, off.tangent),
+    ):  # fmt: skip
+        if rows is not None:
+            taken, size = taken + rows.T @ force.ravel(), abs(rows).T @ abs(force).ravel()
+            error += abs(rows).T @ apart.ravel() + EPS * (rows.shape[0] + 3) * size
+    u, off_u = answer.displacement, off.displacement
+    lacks = np.zeros_like(u) if rates.off is None else rates.off.displacement
+    return _summed(
+        (-taken, error, du, rates.bound.displacement), (-u, off_u, direction.load, np.zeros_like(u)),
+        (-0.5 * u, 0.5 * off_u, direction.strained, lacks),
+    )  # fmt: skip
+
+
+def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:
+    """Return a sum of products of vectors that are off by some errors, (a, error, b, error), and what it is off by."""
+    total, size, error = 0.0, 0.0, 0.0
+    for a, off_a, b, off_b in products:
+        total += float(a @ b)
+        size += (len(a) + 3) * float(abs(a) @ abs(b))
+        error += float(abs(a) @ off_b + off_a @ abs(b) + off_a @ off_b)
+    return total, error + EPS * (size + 2 * len(products) * error)
+
+
+def _is_proven(solution: Solution) -> bool:
+    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
+    problem, certificate = solution.problem, solution.certificate
+    if certificate.proven or not problem.frictional:
+        return certificate.proven
+    if solution not in _PROVEN:
+        forces = solution.normal_force, solution.friction_force, solution.tie_force
+        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
+        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
+        _PROVEN[solution] = found.proven
+    return _PROVEN[solution]
 
 
 def _first(linearised: Linearised, rates: Rates, sign: float) -> float:
     return float(min(linearised.events(rates, sign), default=np.inf))
 
 
-def _rate_of_energy(solution: Solution, direction: Direction) -> float:
-    """Return the rate without friction, by the envelope theorem: -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u."""
-    rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
-    return float(rate - solution.tie_force @ direction.tie_value + direction.work)
+def _rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float, float | None]:
+    """Return the rate without friction, -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u, and what it is off by.
+
+    That is the envelope theorem.
+    """
+    solution, known = linearised.solution, linearised.known
+    if known is None or known.bound is None:
+        rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
+        return float(rate - solution.tie_force @ direction.tie_value + direction.work), None
+    answer, off = known.found, known.bound
+    u, push = answer.displacement, answer.normal
+    found = [
+        (-u, off.displacement, direction.load, np.zeros_like(u)),
+        (-push, off.normal, direction.gap, np.zeros_like(push)),
+        (-answer.tie, off.tie, direction.tie_value, np.zeros_like(answer.tie)),
+    ]
+    for rows, left, error in (
+        (direction.stiffness, 0.5 * u, 0.5 * off.displacement), (direction.rows, push, off.normal),
+    ):  # fmt: skip
+        if rows is not None:
+            terms = int(np.max(np.diff(rows.indptr), initial=0)) + 3
+            moved = abs(rows) @ off.displacement + EPS * terms * (abs(rows) @ abs(u))
+            found.append((left, error, np.asarray(rows @ u), moved))
+    return _summed(*found)
 
 
 def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -> Any:
@@ -318,180 +385,67 @@ def _by_law(linearised: Linearised, of: str, weights: Array, parameter: str, y: 
     return np.asarray(y.tangent + slip_weights - np.einsum("mij,mj->mi", system.turning, dragged))
 
 
-FRAMEWORKS = ("jax", "torch")
-VARIED = (*VECTORS, "stiffness")
-# What `solve_many` takes, by its names of them, and what it has of all cases.
-OF_MANY = dict(load="loads", gap="gaps", friction="friction")
-ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
+def on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
+    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
+    if not sp.issparse(problem.stiffness):
+        return (np.outer(y, u) + np.outer(u, y)) / 2
+    return on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
 
 
-@checked
-@own_floating_point
-def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], framework: str) -> Callable[..., Any]:
-    """Return an answer as a function of what is varied, for automatic differentiation.
+def on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
+    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
+    counts, entries = np.diff(rows.indptr), None
+    for left, right in pairs:
+        own = right.take(rows.indices)
+        own *= np.repeat(left, counts)
+        entries = own if entries is None else np.add(entries, own, out=entries)
+    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
+
+
+def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:
+    """Return a direction of one parameter, and what it means at an answer with contact forces (m,).
+
+    Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
 
     Parameters
     ----------
-    problem : ContactProblem
-        What is not varied is its own.
-    of : str
-        "displacement", "normal_force", "friction_force", "tie_force", "gap", "slip" or "energy".
-    varied : sequence of str
-        Names of the arguments, in their order: "load", "gap", "tie_value", "friction", "slip_origin" and "stiffness",
-        the entries of K on the pattern of `problem.stiffness_rows`, which are symmetrised.
-    framework : str
-        "jax": for `jax.grad`, `jax.jacrev`, `jax.vmap` and `jax.jit`; "torch": for tensors and `torch.func`. Batches of
-        loads, gaps and coefficients are solved as by `solve_many`.
-
-    Raises
-    ------
-    BackendMissing
-        The framework is not installed.
-    InvalidProblem
-        A name that is none of these; JAX computes in single precision.
-
-    Examples
-    --------
-    >>> import jax, contactqp as cq  # doctest: +SKIP
-    >>> jax.config.update("jax_enable_x64", True)  # doctest: +SKIP
-    >>> bar = cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3])  # doctest: +SKIP
-    >>> force = cq.differentiable(bar, "normal_force", ["gap"], "jax")  # doctest: +SKIP
-    >>> jax.jacrev(force)(bar.gap)  # doctest: +SKIP
-    Array([[-157500.]], dtype=float64)
+    solution, push : the answer, and its contact forces
+    parameter, direction : as in `contactqp.analysis.derivatives.derivative`
     """
-    known = tuple(name for name in QUANTITIES if name != "reaction")
-    named = [("of", of, known), ("framework", framework, FRAMEWORKS), *(("varied", name, VARIED) for name in varied)]
-    for argument, name, names in named:
-        if name not in names:
-            raise InvalidProblem(f"{argument}: expected one of {', '.join(names)}, got {name!r}")
-    if not varied or len(set(varied)) < len(varied):
-        raise InvalidProblem(f"varied: expected names, each once, got {', '.join(varied) or 'none'}")
-    try:
-        module = import_module(framework)
-    except ImportError:
-        raise BackendMissing(f"differentiable: {framework} is not installed: pip install {framework}") from None
-    host = _Host(problem, of, tuple(varied))
-    return _jax_function(module, host) if framework == "jax" else _torch_function(module, host)
+    problem, u = solution.problem, solution.displacement
+    zero, motions = Direction.zero(problem), [motion.direction for motion in solution.free_motions]
+    if parameter in VECTORS:
+        expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
+        if parameter == "friction" and given.ndim == 0:
+            given = np.full(expected, given)
+        if given.shape not in (expected, (int(np.prod(expected)),), () if expected == (1,) else expected):
+            raise InvalidProblem(f"direction: expected shape {expected}, got {given.shape}")
+        if not np.all(np.isfinite(given)):
+            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
+        loads = given[None] if parameter == "load" else np.zeros((0, problem.dimension))
+        driven = _moves(loads, motions)
+        return Direction(**(vars(zero) | {parameter: given.reshape(expected), "driven": driven}))
+    change = read_matrix("direction", direction)
+    expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
+    if change.shape != expected:
+        raise InvalidProblem(f"direction: expected shape {expected}, got {change.shape}")
+    change = sp.csr_array(change)
+    if parameter == "rows":
+        closing = np.asarray(change @ u)
+        changed: dict[str, Any] = dict(
+            turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
+            driven=_moves(change, motions), rows=change,
+        )  # fmt: skip
+        return Direction(**(vars(zero) | changed))
+    if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
+        raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
+    moved = np.asarray(change @ u)
+    driven = _moves(change, motions)
+    strained: dict[str, Any] = dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven, stiffness=change)
+    return Direction(**(vars(zero) | strained))
 
 
-class _Host:
-    """Answers and gradients in NumPy, of one case or of a batch, whose dimensions come before those of a case."""
-
-    def __init__(self, problem: ContactProblem, of: str, varied: tuple[str, ...]) -> None:
-        self.problem, self.of, self.varied = problem, of, varied
-        self.shape = np.shape(getattr(solve(problem), of))
-        self._ranks = [1 if name == "stiffness" else np.ndim(getattr(problem, name)) for name in varied]
-        self._last: tuple[tuple[bytes, ...], Solution] | None = None
-
-    def _cases(self, values: Sequence[Any]) -> tuple[tuple[int, ...], list[Array]]:
-        """Return the dimensions of a batch, and the values of its cases (cases, ...) one after the other."""
-        given = [np.asarray(value, dtype=float) for value in values]
-        pairs = list(zip(given, self._ranks, strict=True))
-        batch = np.broadcast_shapes(*(value.shape[: value.ndim - rank] for value, rank in pairs))
-        own = [value.shape[value.ndim - rank :] for value, rank in pairs]
-        whole = [np.broadcast_to(value, batch + one) for value, one in zip(given, own, strict=True)]
-        return batch, [value.reshape(-1, *one) for value, one in zip(whole, own, strict=True)]
-
-    def solution(self, values: Sequence[Array]) -> Solution:
-        """Return the certified answer where these have the varied parameters' places; the last one is kept."""
-        key = tuple(value.tobytes() for value in values)
-        if self._last is not None and self._last[0] == key:
-            return self._last[1]
-        changes: dict[str, Any] = {}
-        for name, given in zip(self.varied, values, strict=True):
-            changes[name] = given
-            if name == "stiffness":
-                rows = self.problem.stiffness_rows
-                if given.shape != rows.data.shape:
-                    raise InvalidProblem(f"stiffness: expected entries {rows.data.shape}, got {given.shape}")
-                K = sp.csr_array((given, rows.indices, rows.indptr), shape=rows.shape)
-                changes[name] = (K + K.T) / 2
-        found: Solution = solve(self.problem.replace(**changes))
-        self._last = key, found
-        return found
-
-    def value(self, *values: Any) -> Array:
-        """Return the quantity, in doubles; that of many loads, gaps or coefficients as of `solve_many`."""
-        batch, cases = self._cases(values)
-        if len(cases[0]) > 1 and set(self.varied) <= set(OF_MANY):
-            given: dict[str, Any] = {OF_MANY[name]: one for name, one in zip(self.varied, cases, strict=True)}
-            many = solve_many(self.problem, **given)
-            of_all = self.of in ARRAYS_OF_MANY and many.passed.all()  # one that fails says why when it is asked for
-            found = getattr(many, self.of) if of_all else [getattr(one, self.of) for one in many]
-        else:
-            found = [getattr(self.solution(one), self.of) for one in zip(*cases, strict=True)]
-        return np.array(found, dtype=float).reshape(batch + self.shape)
-
-    def gradients(self, weights: Any, *values: Any) -> tuple[Array, ...]:
-        """Return the gradient of weights . quantity by each argument, case by case."""
-        batch, cases = self._cases(values)
-        given = np.asarray(weights, dtype=float)
-        batch = np.broadcast_shapes(batch, given.shape[: given.ndim - len(self.shape)])
-        given = np.broadcast_to(given, batch + self.shape).reshape(-1, *self.shape)
-        rows, found = self.problem.stiffness_rows, [np.empty((len(given), *one.shape[1:])) for one in cases]
-        places = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), rows.indices
-        for i, weight in enumerate(given):
-            solution = self.solution([one[i % len(one)] for one in cases])
-            for name, gradient in zip(self.varied, found, strict=True):
-                own = pullback(solution, self.of, weight, name)
-                gradient[i] = np.reshape(sp.csr_array(own)[places] if name == "stiffness" else own, gradient[i].shape)
-        return tuple(one.reshape(*batch, *one.shape[1:]) for one in found)
-
-
-def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function with a reverse rule, whose solutions are made outside of JAX, all of a batch at once."""
-    if not jax.config.jax_enable_x64:
-        raise InvalidProblem(
-            'differentiable: JAX computes in single precision; expected jax.config.update("jax_enable_x64", True)'
-        )
-
-    def shaped(shape: tuple[int, ...]) -> Any:
-        return jax.ShapeDtypeStruct(shape, float)
-
-    def answered(*values: Any) -> Any:
-        return jax.pure_callback(host.value, shaped(host.shape), *values, vmap_method="expand_dims")
-
-    def forward(*values: Any) -> Any:
-        return answered(*values), values
-
-    def backward(values: Any, weights: Any) -> Any:
-        shapes = tuple(shaped(value.shape) for value in values)
-        return jax.pure_callback(host.gradients, shapes, weights, *values, vmap_method="expand_dims")
-
-    answer: Any = jax.custom_vjp(answered)
-    answer.defvjp(forward, backward)
-    made: Callable[..., Any] = answer
-    return made
-
-
-def _torch_function(torch: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function of tensors in double precision, for `torch.func.vmap` and `grad`, too."""
-
-    def kind(name: str, forward: Any, keep: Any, backward: Any) -> Any:
-        def batched(_: Any, dimensions: Any, *values: Any) -> Any:
-            pairs = zip(values, dimensions, strict=True)
-            found = made.apply(*(one[None] if place is None else one.movedim(place, 0) for one, place in pairs))
-            return found, (0,) * len(found) if isinstance(found, tuple) else 0
-
-        rules = dict(forward=forward, setup_context=keep, backward=backward, vmap=batched)
-        made: Any = type(name, (torch.autograd.Function,), {rule: staticmethod(one) for rule, one in rules.items()})
-        return made
-
-    def numbers(values: Any) -> Any:
-        return (value.detach().numpy() for value in values)
-
-    def pulled(context: Any, weights: Any) -> Any:
-        values = context.saved_tensors
-        found = gradient.apply(weights, *values)
-        return tuple(one.sum_to_size(value.shape) for one, value in zip(found, values, strict=True))
-
-    gradient = kind(
-        "ContactGradient", lambda *values: tuple(map(torch.from_numpy, host.gradients(*numbers(values)))),
-        lambda *_: None, None,
-    )  # fmt: skip
-    answer = kind(
-        "ContactAnswer", lambda *values: torch.from_numpy(host.value(*numbers(values))),
-        lambda context, values, _: context.save_for_backward(*values), pulled,
-    )  # fmt: skip
-    apply: Callable[..., Any] = answer.apply
-    return apply
+def _moves(rows: Any, motions: list[Vector]) -> float:
+    """Return 1 where a motion moves a row, more than its rounding, else 0."""
+    moved = (np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
+    return float(any(moved))

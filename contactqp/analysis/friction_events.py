@@ -407,3 +407,67 @@ def _named(problem: ContactProblem, contacts: Indices) -> str:
     names = [problem.contact_name(i) for i in contacts.tolist()]
     more = len(names) - NAMES_IN_A_MESSAGE
     return (", ".join(names[:NAMES_IN_A_MESSAGE]) or "no contact") + (f" and {more} more" if more > 0 else "")
+
+
+@dataclass(frozen=True, eq=False)
+class StateMargins:
+    """What keeps contacts in their states, or its rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
+
+    gap: Vector
+    push: Vector
+    drag: Array
+    slip: Array
+
+
+def steps_to_events(
+    mu: Vector | None,
+    status: Status,
+    now: StateMargins,
+    rates: StateMargins,
+    edges: Indices,
+    rests: Indices,
+    at_bound: Indices,
+) -> Iterator[float]:
+    """Yield the steps along some rates at which contacts leave their states.
+
+    Parameters
+    ----------
+    mu : (m,) array, or None without friction
+    status : (m,) array of int, the states that the rates are of
+    now, rates : StateMargins, and how they change
+    edges : contacts that graze, of which neither forces nor gaps fall from nothing
+    rests : contacts whose slips begin here
+    at_bound : contacts whose friction is at its bound, which in the plane it may leave for the other
+    """
+    touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)
+    apart = np.setdiff1d(np.flatnonzero(status == OPEN), edges)
+    yield from falls(now.push[touching], rates.push[touching])
+    yield from falls(now.gap[apart], rates.gap[apart])
+    if mu is None:
+        return
+    slips = np.setdiff1d(np.flatnonzero((abs(status) == 1) & (mu > 0)), rests).astype(int)
+    along = status[slips].astype(float)
+    yield from falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
+    for i in np.setdiff1d(np.flatnonzero(status == STICK), edges):
+        push, drag, push_rate, drag_rate = now.push[i], now.drag[i], rates.push[i], rates.drag[i]
+        if len(drag) > 1:
+            yield from _reaches_bound(mu[i], push, drag, push_rate, drag_rate)
+            continue
+        bounds = np.array([side for side in (1.0, -1.0) if i not in at_bound or side * drag[0] < 0])
+        yield from falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
+
+
+def falls(size: Vector, rate: Vector) -> Iterator[float]:
+    """Yield the steps at which positive sizes reach zero."""
+    falls = rate < 0
+    yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
+
+
+def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
+    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
+    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
+    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
+    c = float(drag @ drag) - (mu * push) ** 2
+    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
+    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
+    yield from sorted(real)[:1]

@@ -7,20 +7,31 @@ nearer to other states of its contacts, or less accurate than an answer has to b
 States are looked for from those of the case before where the answer is the only one whatever the load, without friction
 and where `contactqp.critical_friction` says so; else from the contacts that close without friction, so that an answer
 does not depend on the cases before it.
+
+Answers as functions of JAX and PyTorch, differentiated by what `pullback` says; neither is imported until asked for.
+
+A function takes what is varied by name, in double precision: load (n,), gap (m,), tie_value (k,), friction (m,),
+slip_origin (m, d-1), and stiffness, the entries (nnz,) of K on the pattern of `problem.stiffness_rows`. Every call is a
+certified solution, and its gradient one system with the same factors. Where an answer has no gradient, at a contact
+that grazes, the error says so.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from contactqp.analysis.derivatives import QUANTITIES, pullback
 from contactqp.analysis.load_cases import STATUS, LoadCases, Solutions
+from contactqp.analysis.rate_systems import VECTORS
 from contactqp.certificate.bounds import REDUNDANT
 from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.number_range import near_one
@@ -32,6 +43,7 @@ from contactqp.linalg.runtime import free_memory
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import (
     METHOD,
+    Array,
     Vector,
     one_blas_thread,
     own_floating_point,
@@ -302,3 +314,182 @@ class _Rows:
             _arguments=options,
             _started=self.started,
         )
+
+
+FRAMEWORKS = ("jax", "torch")
+VARIED = (*VECTORS, "stiffness")
+# What `solve_many` takes, by its names of them, and what it has of all cases.
+OF_MANY = dict(load="loads", gap="gaps", friction="friction")
+ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
+
+
+@checked
+@own_floating_point
+def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], framework: str) -> Callable[..., Any]:
+    """Return an answer as a function of what is varied, for automatic differentiation.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        What is not varied is its own.
+    of : str
+        "displacement", "normal_force", "friction_force", "tie_force", "gap", "slip" or "energy".
+    varied : sequence of str
+        Names of the arguments, in their order: "load", "gap", "tie_value", "friction", "slip_origin" and "stiffness",
+        the entries of K on the pattern of `problem.stiffness_rows`, which are symmetrised.
+    framework : str
+        "jax": for `jax.grad`, `jax.jacrev`, `jax.vmap` and `jax.jit`; "torch": for tensors and `torch.func`. Batches of
+        loads, gaps and coefficients are solved as by `solve_many`.
+
+    Raises
+    ------
+    BackendMissing
+        The framework is not installed.
+    InvalidProblem
+        A name that is none of these; JAX computes in single precision.
+
+    Examples
+    --------
+    >>> import jax, contactqp as cq  # doctest: +SKIP
+    >>> jax.config.update("jax_enable_x64", True)  # doctest: +SKIP
+    >>> bar = cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3])  # doctest: +SKIP
+    >>> force = cq.differentiable(bar, "normal_force", ["gap"], "jax")  # doctest: +SKIP
+    >>> jax.jacrev(force)(bar.gap)  # doctest: +SKIP
+    Array([[-157500.]], dtype=float64)
+    """
+    known = tuple(name for name in QUANTITIES if name != "reaction")
+    named = [("of", of, known), ("framework", framework, FRAMEWORKS), *(("varied", name, VARIED) for name in varied)]
+    for argument, name, names in named:
+        if name not in names:
+            raise InvalidProblem(f"{argument}: expected one of {', '.join(names)}, got {name!r}")
+    if not varied or len(set(varied)) < len(varied):
+        raise InvalidProblem(f"varied: expected names, each once, got {', '.join(varied) or 'none'}")
+    try:
+        module = import_module(framework)
+    except ImportError:
+        raise BackendMissing(f"differentiable: {framework} is not installed: pip install {framework}") from None
+    host = _Host(problem, of, tuple(varied))
+    return _jax_function(module, host) if framework == "jax" else _torch_function(module, host)
+
+
+class _Host:
+    """Answers and gradients in NumPy, of one case or of a batch, whose dimensions come before those of a case."""
+
+    def __init__(self, problem: ContactProblem, of: str, varied: tuple[str, ...]) -> None:
+        self.problem, self.of, self.varied = problem, of, varied
+        self.shape = np.shape(getattr(solve(problem), of))
+        self._ranks = [1 if name == "stiffness" else np.ndim(getattr(problem, name)) for name in varied]
+        self._last: tuple[tuple[bytes, ...], Solution] | None = None
+
+    def _cases(self, values: Sequence[Any]) -> tuple[tuple[int, ...], list[Array]]:
+        """Return the dimensions of a batch, and the values of its cases (cases, ...) one after the other."""
+        given = [np.asarray(value, dtype=float) for value in values]
+        pairs = list(zip(given, self._ranks, strict=True))
+        batch = np.broadcast_shapes(*(value.shape[: value.ndim - rank] for value, rank in pairs))
+        own = [value.shape[value.ndim - rank :] for value, rank in pairs]
+        whole = [np.broadcast_to(value, batch + one) for value, one in zip(given, own, strict=True)]
+        return batch, [value.reshape(-1, *one) for value, one in zip(whole, own, strict=True)]
+
+    def solution(self, values: Sequence[Array]) -> Solution:
+        """Return the certified answer where these have the varied parameters' places; the last one is kept."""
+        key = tuple(value.tobytes() for value in values)
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
+        changes: dict[str, Any] = {}
+        for name, given in zip(self.varied, values, strict=True):
+            changes[name] = given
+            if name == "stiffness":
+                rows = self.problem.stiffness_rows
+                if given.shape != rows.data.shape:
+                    raise InvalidProblem(f"stiffness: expected entries {rows.data.shape}, got {given.shape}")
+                K = sp.csr_array((given, rows.indices, rows.indptr), shape=rows.shape)
+                changes[name] = (K + K.T) / 2
+        found: Solution = solve(self.problem.replace(**changes))
+        self._last = key, found
+        return found
+
+    def value(self, *values: Any) -> Array:
+        """Return the quantity, in doubles; that of many loads, gaps or coefficients as of `solve_many`."""
+        batch, cases = self._cases(values)
+        if len(cases[0]) > 1 and set(self.varied) <= set(OF_MANY):
+            given: dict[str, Any] = {OF_MANY[name]: one for name, one in zip(self.varied, cases, strict=True)}
+            many = solve_many(self.problem, **given)
+            of_all = self.of in ARRAYS_OF_MANY and many.passed.all()  # one that fails says why when it is asked for
+            found = getattr(many, self.of) if of_all else [getattr(one, self.of) for one in many]
+        else:
+            found = [getattr(self.solution(one), self.of) for one in zip(*cases, strict=True)]
+        return np.array(found, dtype=float).reshape(batch + self.shape)
+
+    def gradients(self, weights: Any, *values: Any) -> tuple[Array, ...]:
+        """Return the gradient of weights . quantity by each argument, case by case."""
+        batch, cases = self._cases(values)
+        given = np.asarray(weights, dtype=float)
+        batch = np.broadcast_shapes(batch, given.shape[: given.ndim - len(self.shape)])
+        given = np.broadcast_to(given, batch + self.shape).reshape(-1, *self.shape)
+        rows, found = self.problem.stiffness_rows, [np.empty((len(given), *one.shape[1:])) for one in cases]
+        places = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), rows.indices
+        for i, weight in enumerate(given):
+            solution = self.solution([one[i % len(one)] for one in cases])
+            for name, gradient in zip(self.varied, found, strict=True):
+                own = pullback(solution, self.of, weight, name)
+                gradient[i] = np.reshape(sp.csr_array(own)[places] if name == "stiffness" else own, gradient[i].shape)
+        return tuple(one.reshape(*batch, *one.shape[1:]) for one in found)
+
+
+def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
+    """Return a function with a reverse rule, whose solutions are made outside of JAX, all of a batch at once."""
+    if not jax.config.jax_enable_x64:
+        raise InvalidProblem(
+            'differentiable: JAX computes in single precision; expected jax.config.update("jax_enable_x64", True)'
+        )
+
+    def shaped(shape: tuple[int, ...]) -> Any:
+        return jax.ShapeDtypeStruct(shape, float)
+
+    def answered(*values: Any) -> Any:
+        return jax.pure_callback(host.value, shaped(host.shape), *values, vmap_method="expand_dims")
+
+    def forward(*values: Any) -> Any:
+        return answered(*values), values
+
+    def backward(values: Any, weights: Any) -> Any:
+        shapes = tuple(shaped(value.shape) for value in values)
+        return jax.pure_callback(host.gradients, shapes, weights, *values, vmap_method="expand_dims")
+
+    answer: Any = jax.custom_vjp(answered)
+    answer.defvjp(forward, backward)
+    made: Callable[..., Any] = answer
+    return made
+
+
+def _torch_function(torch: Any, host: _Host) -> Callable[..., Any]:
+    """Return a function of tensors in double precision, for `torch.func.vmap` and `grad`, too."""
+
+    def kind(name: str, forward: Any, keep: Any, backward: Any) -> Any:
+        def batched(_: Any, dimensions: Any, *values: Any) -> Any:
+            pairs = zip(values, dimensions, strict=True)
+            found = made.apply(*(one[None] if place is None else one.movedim(place, 0) for one, place in pairs))
+            return found, (0,) * len(found) if isinstance(found, tuple) else 0
+
+        rules = dict(forward=forward, setup_context=keep, backward=backward, vmap=batched)
+        made: Any = type(name, (torch.autograd.Function,), {rule: staticmethod(one) for rule, one in rules.items()})
+        return made
+
+    def numbers(values: Any) -> Any:
+        return (value.detach().numpy() for value in values)
+
+    def pulled(context: Any, weights: Any) -> Any:
+        values = context.saved_tensors
+        found = gradient.apply(weights, *values)
+        return tuple(one.sum_to_size(value.shape) for one, value in zip(found, values, strict=True))
+
+    gradient = kind(
+        "ContactGradient", lambda *values: tuple(map(torch.from_numpy, host.gradients(*numbers(values)))),
+        lambda *_: None, None,
+    )  # fmt: skip
+    answer = kind(
+        "ContactAnswer", lambda *values: torch.from_numpy(host.value(*numbers(values))),
+        lambda context, values, _: context.save_for_backward(*values), pulled,
+    )  # fmt: skip
+    apply: Callable[..., Any] = answer.apply
+    return apply

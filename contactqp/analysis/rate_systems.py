@@ -14,34 +14,25 @@ they refine answers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
-from contactqp.linalg.dense import saddle_point, unknown_scale
-from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows, two_product
 from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import read_array, read_matrix
-from contactqp.model.solution import Solution
 
-# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
-MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
-# A direction of the stiffness is symmetric to this part of its largest entry.
-SYMMETRIC = 1e-12
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 EPS = float(np.finfo(float).eps)
@@ -50,6 +41,11 @@ SAME = 1e-9
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
 # gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
+# What sums of products in twice double precision are off by, as parts of their terms.
+ROUNDED = 2.0**-92
+# Solutions for data of random signs are of the size that those of the worst signs have over the root of their number;
+# so many of them, and so many times as much, are taken.
+PROBES, ALIKE = 3, 16.0
 # Of fewer unknowns, whose factors are dense or nearly so, refinement costs next to nothing.
 LARGE = 2000
 
@@ -78,6 +74,8 @@ class Solved:
     found: Parts
     bound: Parts | None
     settled: bool  # whether refinement led anywhere
+    extended: tuple[Extended, ...] = ()  # displacement, normal, flat tangents and ties in twice double precision
+    remainder: float = np.inf  # what further refinement may change of these, in the square root of energy
 
 
 def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
@@ -101,6 +99,7 @@ class Direction:
     work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
     driven: float = 0.0  # not zero where it drives motions that nothing resists, or resists them
     rows: Any = None  # (m, n) dE_N, of a direction of the rows
+    stiffness: Any = None  # (n, n) dK, of a direction of the stiffness
 
     @classmethod
     def zero(cls, problem: ContactProblem) -> Direction:
@@ -119,6 +118,11 @@ class Direction:
     def whole_gap(self) -> Vector:
         """The gaps (m,) that the rates see."""
         return self.gap + self.closing
+
+    @property
+    def by_answer(self) -> bool:
+        """Whether the data of the rates are products with the answer, so that they have its rounding."""
+        return self.stiffness is not None or self.rows is not None or bool(self.friction.any())
 
     def reversed(self) -> Direction:
         turned: dict[str, Any] = {name: None if value is None else -value for name, value in vars(self).items()}
@@ -139,10 +143,11 @@ class Rates:
     status: Status  # (m,) the states that contacts are in along the direction
     bound: Parts | None = None
     shared: bool = False  # whether contacts that close along the direction share their forces in many ways
+    off: Parts | None = None  # what data that the answer makes are off by: -dK u, whole gaps, own friction
 
     def reversed(self) -> Rates:
         """Return the rates towards minus a direction from those along its reverse."""
-        kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared)
+        kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared, off=self.off)
         return Rates(**{name: 0.0 - value for name, value in vars(self).items() if name not in kept}, **kept)
 
 
@@ -161,6 +166,10 @@ class _System(Protocol):
 
     def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
         """Return the friction (m (d-1),) of contacts that slip."""
+
+
+# A solution, its bound, and what its data are off by; None where that is not known.
+_Completed: TypeAlias = tuple[Parts, Parts | None, Parts | None]
 
 
 class RateSystem:
@@ -234,8 +243,85 @@ class RateSystem:
         found = Parts(u, normal, tangent.reshape(right.tangent.shape), tie)
         contraction = max(contraction, EPS)
         settled = contraction < 0.5
-        remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) if settled else np.inf
-        return Solved(found, self._bound(found, remainder), settled or size <= ENOUGH * whole_size)
+        remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) + INVISIBLE * whole_size
+        remainder = remainder if settled else np.inf
+        done = settled or size <= ENOUGH * whole_size
+        return Solved(found, self._bound(found, remainder), done, tuple(y), remainder)
+
+    def answer(self) -> Solved:
+        """Return the answer where no slip turns, solution for the problem's own data, with the friction of slips."""
+        problem, origin = self._problem, self._problem.slip_origin
+        gap = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
+        slip = Parts.zero(problem).tangent if origin is None else origin
+        solved = self.solve(Parts(problem.load, gap, slip, problem.tie_value))
+        if problem.friction is None or not problem.frictional or solved.bound is None:
+            return solved
+        found, bound, dragged = solved.found, solved.bound, problem.friction[:, None] * self.directions
+        tangent = found.tangent + dragged * found.normal[:, None]
+        apart = bound.tangent + abs(dragged) * bound.normal[:, None] + 2 * EPS * abs(tangent)
+        return replace(solved, found=replace(found, tangent=tangent), bound=replace(bound, tangent=apart))
+
+    def completed(self, solved: Solved, data: Parts, own: Array, direction: Direction, known: Solved) -> _Completed:
+        """Return a solution for data that the answer makes, its bound, and what these data are off by.
+
+        Their products in doubles lack what twice double precision has; the system is solved for that, too. What is not
+        known of the answer then is spread by the inverse, by solutions for such data of random signs.
+
+        Parameters
+        ----------
+        solved, data : a solution, and the data in doubles that it is for
+        own : (m, d-1) array, of the data, the friction of slips by a change of coefficients
+        direction : that of stiffness, rows or coefficients
+        known : the answer
+        """
+        problem, exact, (u, push, *_) = self._problem, self._exact, known.extended
+        if not np.isfinite(known.remainder):
+            return solved.found, None, None
+        ends = (
+            known.remainder * self._unit,
+            np.divide(known.remainder, self._sizes[0], out=np.zeros_like(self._sizes[0]), where=self._sizes[0] > 0),
+        )
+        left_u, left_push = (end + ROUNDED * abs(one.hi) for end, one in zip(ends, (u, push), strict=True))
+        load, gap, strained = extend(direction.load), extend(direction.gap), extend(direction.strained)
+        lost, rest_load, rest_gap = extend(own.ravel()), np.zeros_like(left_u), np.zeros_like(left_push)
+        if (dK := direction.stiffness) is not None:
+            strained = -(SparseRows(dK) @ u)
+            load, rest_load = load + strained, abs(dK) @ left_u
+        if (dE := direction.rows) is not None:
+            load, gap = load - SparseRows(dE.T) @ push, gap - SparseRows(dE) @ u
+            rest_load, rest_gap = rest_load + abs(dE).T @ left_push, abs(dE) @ left_u
+        if direction.friction.any() and problem.tangent is not None:
+            lost = _products(direction.friction, push)
+            lost = Extended(lost.hi * self.directions[:, 0], lost.lo * self.directions[:, 0])
+            load, spread = load - exact.friction_force(lost), abs(direction.friction) * left_push
+            rest_load = rest_load + abs(problem.tangent).T @ spread
+        rest_load, rest_gap = rest_load + ROUNDED * abs(load.hi), rest_gap + ROUNDED * abs(gap.hi)
+        low = (load - data.displacement).double(), (gap - data.normal).double()
+        zero = Parts.zero(problem)
+        more = self.solve(replace(zero, displacement=low[0], normal=low[1]))
+        pairs = [(getattr(solved.found, name), getattr(more.found, name)) for name in vars(zero)]
+        found = Parts(*(one + other for one, other in pairs))
+        last = self._bound(found, self._spread(replace(zero, displacement=rest_load, normal=rest_gap)))
+        off = Parts(
+            abs((strained - direction.strained).double()) + rest_load, abs(low[1]) + rest_gap,
+            abs((lost - own.ravel()).double()).reshape(own.shape) + (abs(direction.friction) * left_push)[:, None],
+            zero.tie,
+        )  # fmt: skip
+        bounds = (solved.bound, more.bound, last)
+        if any(one is None for one in bounds):
+            return found, None, off
+        return found, Parts(*(sum(getattr(one, name) for one in bounds) for name in vars(zero))), off
+
+    def _spread(self, rest: Parts) -> float:
+        """Return what data up to these sizes may change of a solution, by those of random signs."""
+        rng, largest = np.random.default_rng(0), 0.0
+        if not (rest.displacement.any() or rest.normal.any()):
+            return 0.0
+        for _ in range(PROBES):
+            signed = Parts(*(part * rng.choice([-1.0, 1.0], part.shape) for part in vars(rest).values()))
+            found = self._system.correct(self._on_own_rows(signed), False)
+            largest = max(largest, self._size((found.displacement, found.normal, found.tangent.ravel(), found.tie)))
+        return ALIKE * float(np.sqrt(rest.displacement.size + rest.normal.size)) * largest
 
     def unresolved(self) -> list[Parts]:
         """Return a basis of what may be added to solutions, with friction and where the system has no inverse."""
@@ -367,9 +453,7 @@ def _products(factor: Vector, values: Extended) -> Extended:
 
 
 def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Direction) -> Any:
-    """Return what entries of rates may be off by along a direction that is free of rounding; None if not known.
-
-    That is one of load, gap, slip origin and tie value; gaps, slips, friction and reactions in the plane.
+    """Return what entries of rates may be off by, gaps, slips, friction and reactions in the plane; None if not known.
 
     Parameters
     ----------
@@ -379,122 +463,20 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     bound, u = rates.bound, abs(rates.displacement)
     if bound is None:
         return None
+    off = Parts.zero(problem) if rates.off is None else rates.off
     if of in ("displacement", "normal_force", "tie_force"):
         return dict(displacement=bound.displacement, normal_force=bound.normal, tie_force=bound.tie)[of]
     if of == "friction_force" and problem.friction is not None:
-        return bound.tangent + problem.friction[:, None] * bound.normal[:, None] + 4 * EPS * abs(rates.friction_force)
+        dragged = problem.friction[:, None] * rates.normal_force[:, None]  # one of its three terms, which may cancel
+        rounding = 8 * EPS * (abs(rates.friction_force) + abs(dragged))
+        return bound.tangent + problem.friction[:, None] * bound.normal[:, None] + off.tangent + rounding
     rows = dict(gap=problem.normal, slip=problem.tangent, reaction=problem.stiffness_rows).get(of)
     if rows is None:
         return None
     own = dict(gap=direction.whole_gap, slip=direction.slip_origin.ravel(), reaction=direction.load)[of]
-    sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 2
-    return (sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u)).reshape(getattr(rates, of).shape)
-
-
-class Scales:
-    """What turns quantities of a problem into square roots of energy, in which they compare."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self._problem = problem
-
-    def same(self, of: str, one: Rates, other: Rates) -> bool:
-        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
-        return self._apart(of, one, other) <= 0
-
-    def _apart(self, of: str, one: Rates, other: Rates) -> float:
-        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
-        sizes = [self.of(name, getattr(rates, name)) for name in MEASURED for rates in (one, other)]
-        largest = max(float(np.max(abs(size), initial=0.0)) for size in sizes)
-        difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return float(np.max(abs(difference), initial=0.0)) - SAME * largest
-
-    def are_one(self, one: Rates, other: Rates) -> bool:
-        """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""
-        sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
-        nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
-        return all(self._apart(name, one, other) <= nothing for name in MEASURED)
-
-    def of(self, name: str, values: Array) -> Vector:
-        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
-        unit, normal, tangent, tie = self.units
-        flat = values.ravel()
-        if name in ("displacement", "reaction"):
-            return flat / unit if name == "displacement" else flat * unit
-        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
-        if name in ("gap", "slip"):
-            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
-        return flat * length if flat.size else flat
-
-    @cached_property
-    def units(self) -> tuple[Vector, Vector, Vector, Vector]:
-        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
-        problem, unit = self._problem, unknown_scale(self._problem)
-        rows = (problem.normal, problem.tangent, problem.tie)
-        normal, tangent, tie = (
-            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
-        )
-        return unit, normal, tangent, tie
-
-
-def on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
-    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
-    if not sp.issparse(problem.stiffness):
-        return (np.outer(y, u) + np.outer(u, y)) / 2
-    return on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
-
-
-def on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
-    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
-    counts, entries = np.diff(rows.indptr), None
-    for left, right in pairs:
-        own = right.take(rows.indices)
-        own *= np.repeat(left, counts)
-        entries = own if entries is None else np.add(entries, own, out=entries)
-    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
-
-
-def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:
-    """Return a direction of one parameter, and what it means at an answer with contact forces (m,).
-
-    Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
-
-    Parameters
-    ----------
-    solution, push : the answer, and its contact forces
-    parameter, direction : as in `contactqp.analysis.derivatives.derivative`
-    """
-    problem, u = solution.problem, solution.displacement
-    zero, motions = Direction.zero(problem), [motion.direction for motion in solution.free_motions]
-    if parameter in VECTORS:
-        expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
-        if parameter == "friction" and given.ndim == 0:
-            given = np.full(expected, given)
-        if given.shape not in (expected, (int(np.prod(expected)),), () if expected == (1,) else expected):
-            raise InvalidProblem(f"direction: expected shape {expected}, got {given.shape}")
-        if not np.all(np.isfinite(given)):
-            raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
-        loads = given[None] if parameter == "load" else np.zeros((0, problem.dimension))
-        driven = _moves(loads, motions)
-        return Direction(**(vars(zero) | {parameter: given.reshape(expected), "driven": driven}))
-    change = read_matrix("direction", direction)
-    expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
-    if change.shape != expected:
-        raise InvalidProblem(f"direction: expected shape {expected}, got {change.shape}")
-    if parameter == "rows":
-        closing = np.asarray(change @ u)
-        changed: dict[str, Any] = dict(
-            turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
-            driven=_moves(change, motions), rows=change,
-        )  # fmt: skip
-        return Direction(**(vars(zero) | changed))
-    if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
-        raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
-    moved = np.asarray(change @ u)
-    driven = _moves(change, motions)
-    return Direction(**(vars(zero) | dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven)))
-
-
-def _moves(rows: Any, motions: list[Vector]) -> float:
-    """Return 1 where a motion moves a row, more than its rounding, else 0."""
-    moved = (np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
-    return float(any(moved))
+    if of == "reaction":
+        own = abs(own) + abs(direction.strained)
+    more = dict(gap=off.normal, reaction=off.displacement).get(of, 0.0)
+    sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 3
+    errors = sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u) + more
+    return errors.reshape(getattr(rates, of).shape)

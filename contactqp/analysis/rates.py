@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -30,19 +30,19 @@ from contactqp.analysis.border_states import (
     MOST_TURNS,
     TURNS_NO_MORE,
     Borders,
-    Margins,
+    Scales,
+    at_border,
     decided,
     decided_in_space,
-    falls,
     missed,
     named,
     rates_posed,
     resolved,
     seen_states,
     slips_across,
-    steps_to_events,
     sticking_at_bound,
 )  # fmt: skip
+from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
 from contactqp.analysis.rate_systems import (
     EPS,
     LARGE,
@@ -51,9 +51,8 @@ from contactqp.analysis.rate_systems import (
     Parts,
     Rates,
     RateSystem,
-    Scales,
+    Solved,
     errors_of,
-    read_direction,
     shape_of_tangents,
 )  # fmt: skip
 from contactqp.certificate import bounds
@@ -96,6 +95,7 @@ class Linearised:
     status : (m,) array, the states of the others
     push : (m,) array, contact forces [force]
     system : RateSystem or None, None where some are undecided, or nothing is condensed
+    sure : bool, whether what is near a border of two states was looked at beyond double precision, or nothing is near
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -156,8 +156,11 @@ class Linearised:
             np.flatnonzero(words == "grazing"),
             sticking_at_bound(problem, self.status, self.push, self._drag),
         )
-        near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
-        in_space = problem.frictional and none.shape[1] > 1
+        near, in_space = (
+            np.union1d(self.grazing, self._at_bound).astype(np.intp),
+            problem.frictional and none.shape[1] > 1,
+        )
+        self.sure = not len(near)
         if len(near) and in_space:
             answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
             self.status, self.grazing, self._at_bound = decided_in_space(
@@ -168,6 +171,7 @@ class Linearised:
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
             found = decided(problem, condense(problem), status, near, parts)
+            self.sure = self.sure or found is not None
             if found is not None:
                 self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
                 self.push, self._drag, self._gap, self._slip = (
@@ -232,7 +236,7 @@ class Linearised:
         if self.system is not None:
             return None if self.system.regular else SINGULAR
         free = self.borders.free
-        return f"{self.named(free)} {IN_SPACE}" if len(free) and self.solution.certificate.uniqueness else None
+        return f"{named(self.problem, free)} {IN_SPACE}" if len(free) and self.solution.certificate.uniqueness else None
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.
@@ -258,10 +262,6 @@ class Linearised:
         changed = direction.rows is not None or direction.whole_gap.any() or direction.tie_value.any()
         return self.redundant and bool(changed)
 
-    def reads(self, parameter: str, direction: Any) -> Direction:
-        """Return a direction of a parameter, and what it means at the answer; raises as `read_direction`."""
-        return read_direction(self.solution, self.push, parameter, direction)
-
     def adjoint(self, weights: Parts) -> Parts:
         """Return the solution of the transposed system; nothing is at a border."""
         if self.system is not None:
@@ -284,33 +284,46 @@ class Linearised:
         tie_value = direction.tie_value
         if (begin := system.across) is not None:
             tie_value = np.concatenate([tie_value, np.sum(begin[1] * slip_origin[begin[0]], axis=1)])
-        solved = system.solve(Parts(load, direction.whole_gap, slip_origin, tie_value))
+        data = Parts(load, direction.whole_gap, slip_origin, tie_value)
+        solved = system.solve(data)
         if not solved.settled:
             raise NoRates(SINGULAR)
-        return self._of_parts(system, direction, solved.found, solved.bound, own)
+        found, bound, off = solved.found, solved.bound, None
+        if direction.by_answer and system.across is None and self.known is not None:
+            found, bound, off = system.completed(solved, data, own, direction, self.known)
+        return replace(self._of_parts(system, direction, found, bound, own), off=off)
+
+    @cached_property
+    def known(self) -> Solved | None:
+        """The answer in twice double precision, from the system of its states; None where slips may turn."""
+        if self._sparse or (self.problem.frictional and self._drag.shape[1] > 1):
+            return None
+        system = self._system(self.status)
+        return system.answer() if system.regular else None
 
     def _of_parts(
         self, system: RateSystem, direction: Direction, found: Parts, bound: Parts | None, own: Array
     ) -> Rates:
         problem = self.problem
-        friction, slip = found.tangent, -direction.slip_origin
-        if problem.tangent is not None:
-            slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
+        friction = found.tangent
         if problem.tangent is not None and problem.friction is not None and problem.frictional:
             dragged = (problem.friction * found.normal)[:, None] * system.directions
-            turned = np.einsum("mij,mj->mi", system.turning, slip + direction.slip_origin)
+            moved = (problem.tangent @ found.displacement).reshape(friction.shape)
+            turned = np.einsum("mij,mj->mi", system.turning, moved)
             friction = friction + dragged + own + turned
         if (begin := system.across) is not None:
             contacts, across = begin
             friction = friction.copy()
             friction[contacts] += found.tie[problem.ties :, None] * across
             found, bound = replace(found, tie=found.tie[: problem.ties]), None
-        return self._with_reaction(direction, found, friction, slip, system.status, bound)
+        return self._with_reaction(direction, found, friction, system.status, bound)
 
     def _with_reaction(
-        self, direction: Direction, found: Parts, friction: Array, slip: Array, status: Status, bound: Parts | None
+        self, direction: Direction, found: Parts, friction: Array, status: Status, bound: Parts | None
     ) -> Rates:
-        problem, u = self.problem, found.displacement
+        problem, u, slip = self.problem, found.displacement, -direction.slip_origin
+        if problem.tangent is not None:
+            slip = slip + (problem.tangent @ u).reshape(slip.shape)
         gap = direction.whole_gap - problem.normal @ u
         reaction = direction.load + direction.strained - problem.stiffness_rows @ u
         return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
@@ -346,14 +359,10 @@ class Linearised:
         force = np.zeros(problem.contacts)
         force[closed], force[grazing] = found.tie_force[k:], found.normal_force
         tangents = np.zeros(shape_of_tangents(problem))
-        slip = tangents - direction.slip_origin
-        if problem.tangent is not None:
-            slip = slip + (problem.tangent @ found.displacement).reshape(slip.shape)
         parts = Parts(found.displacement, force, tangents, found.tie_force[:k].copy())
-        shared = bool(
-            np.any(found.normal_force > 0) and any(bounds.REDUNDANT in one for one in found.certificate.reasons)
-        )
-        rates = replace(self._with_reaction(direction, parts, tangents, slip, status, None), shared=shared)
+        many = any(bounds.REDUNDANT in one for one in found.certificate.reasons)
+        shared = bool(np.any(found.normal_force > 0)) and many
+        rates = replace(self._with_reaction(direction, parts, tangents, status, None), shared=shared)
         return self._bounded(rates, direction) or rates
 
     @property
@@ -408,7 +417,7 @@ class Linearised:
         if len(holding) != 1:
             none = "no rates were found that continue" if len(self.borders.free) else "no rates continue"
             count = "several rates continue" if holding else none
-            raise NoRates(f"{count} the answer: {self.named(self.undecided)} may change its state")
+            raise NoRates(f"{count} the answer: {named(self.problem, self.undecided)} may change its state")
         return holding[0]
 
     def _turned(self, status: Status, begins: Indices, direction: Direction) -> Iterator[RateSystem]:
@@ -433,13 +442,13 @@ class Linearised:
         polyhedron: forces are not unique where s(N) z >= 0 has solutions, or where it is more than a point.
         """
         zero = Direction.zero(self.problem)
+        many = NoRates(f"{named(self.problem, self.undecided)} may come to share forces or motions in many ways")
         if self._drag.shape[1] > 1:
-            raise NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
+            raise many
         basis = [self._of_parts(system, zero, part, None, zero.slip_origin) for part in system.unresolved()]
         if not basis:
             return
         turns = np.column_stack([self.borders.signs(one, zero, system) for one in basis])
-        many = NoRates(f"{self.named(self.undecided)} may come to share forces or motions in many ways")
         if not np.all(np.isfinite(turns)) or width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
             raise many
         try:
@@ -478,21 +487,14 @@ class Linearised:
             yield from falls(self._gap[apart], sign * rates.gap[apart])
             return
         parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
-        along = Margins(*(sign * part for part in parts))
-        now, mu = Margins(self._gap, self.push, self._drag, self._slip), self.problem.friction
+        along = StateMargins(*(sign * part for part in parts))
+        now, mu = StateMargins(self._gap, self.push, self._drag, self._slip), self.problem.friction
         rests = np.array(
             [i for i in self.undecided if self.problem.frictional and STICK in self.borders.choices(int(i))]
         )
         mu = mu if self.problem.frictional else None
         yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests.astype(np.intp), self._at_bound)
 
-    def named(self, contacts: Indices) -> str:
-        """Return the names of some contacts."""
-        return named(self.problem, contacts)
-
     def at_border(self) -> str:
         """Return which contacts are at a border, in words."""
-        kinds = ((self.grazing, "grazes", "graze"), (self._at_bound, "sticks at its bound", "stick at their bounds"))
-        return "; ".join(
-            f"{self.named(which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
-        )
+        return at_border(self.problem, self.grazing, self._at_bound)

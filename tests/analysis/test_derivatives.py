@@ -98,7 +98,7 @@ def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
                 assert np.max(abs(found.left - left)) <= near
                 assert found.exists == bool(np.max(abs(left - right)) <= near)
                 two_sided += not found.exists
-                if found.bound is not None:
+                if found.bound is not None and name != "stiffness":
                     bounded += 1
                     assert np.all(abs(found.right - right) <= found.bound)
                     assert np.all(abs(found.left - left) <= found.bound)
@@ -108,23 +108,47 @@ def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
 
 
 def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not() -> None:
-    rng, parts = np.random.default_rng(31), []
-    for grazes in (False, True) * 4:
+    rng, parts = np.random.default_rng(31), {}
+    for grazes in (False, True) * 2:
         problem, _ = drawn(rng, grazes)
         solution, answer = cq.solve(problem), cq.exact(problem)
-        for name, size in (("load", problem.dimension), ("gap", problem.contacts)):
-            direction = rng.integers(-3, 4, size).astype(float)
-            for of in ("displacement", "normal_force", "gap"):
+        n, m = problem.dimension, problem.contacts
+        turn = rng.integers(-3, 4, (n, n)) / 3
+        shapes = dict(load=rng.integers(-3, 4, n) / 3, gap=rng.integers(-3, 4, m) / 3, stiffness=turn + turn.T)
+        for name, direction in (shapes | dict(rows=rng.integers(-3, 4, (m, n)) / 3)).items():
+            for of in ("displacement", "normal_force", "gap", "reaction", "energy"):
                 found = solution.derivative(of, name, direction)
                 if found.bound is None or (true := answer.derivative(of, name, direction)).right is None:
                     continue
                 for rates, exactly in ((found.left, true.left), (found.right, true.right)):
-                    for one, other, bound in zip(rates, exactly, found.bound, strict=True):
+                    for one, other, bound in zip(*map(np.ravel, (rates, exactly, found.bound)), strict=True):
                         error = abs(Fraction(float(one)) - other)
                         assert error <= Fraction(float(bound))
-                        parts.append(error / Fraction(float(bound)) if bound > 0 else Fraction())
-    assert len(parts) > 200
-    assert sum(part > Fraction(1, 10) for part in parts) > 20
+                        part = error / Fraction(float(bound)) if bound > 0 else Fraction()
+                        parts.setdefault((name, of), []).append(part)
+    for (name, of), found in parts.items():
+        assert len(found) >= (15 if of != "energy" else 5), (name, of)
+        many = len(found) if of in ("displacement", "normal_force") else 0
+        assert sum(part > Fraction(1, 10) for part in found) >= many // 20, (name, of)
+
+
+@pytest.mark.parametrize("completed", [True, False])
+def test_a_rounded_answer_has_the_rates_of_the_exact_one(completed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products of a direction with a displacement that is off by 1e-10 are off, unless what they lack is added."""
+    if not completed:
+        none = rate_systems.Parts(*[np.zeros(1)] * 4)
+        monkeypatch.setattr(rate_systems.RateSystem, "completed", lambda _, x, *__: (x.found, x.bound, none))
+    rng, outside = np.random.default_rng(5), 0
+    for _ in range(8):
+        problem, _ = drawn(rng, False)
+        answer, solution = cq.exact(problem), cq.solve(problem)
+        assert solution.certificate.proven
+        solution.__dict__["displacement"] = solution.displacement * (1 + 1e-10)
+        turn = rng.integers(-3, 4, (problem.dimension, problem.dimension)) / 3
+        found, true = (one.derivative("displacement", "stiffness", turn + turn.T) for one in (solution, answer))
+        errors = [abs(float(Fraction(float(x)) - y)) for x, y in zip(found.value, true.value, strict=True)]
+        outside += bool(np.any(errors > found.bound))
+    assert outside == 0 if completed else outside >= 4
 
 
 BAR = dict(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])  # kN and m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_rates_are_those_of_exact_answers(border: bool, problems: int) -> None:
                     assert np.max(abs(right - np.ravel(found.right))) <= near
                     assert np.max(abs(left - np.ravel(found.left))) <= near
                     assert found.exists == bool(np.max(abs(left - right)) <= near)
-                if found.bound is not None:
+                if found.bound is not None and name not in ("friction", "stiffness", "rows"):
                     bounded += 1
                     assert np.all(abs(right - np.ravel(found.right)) <= np.ravel(found.bound))
                     assert np.all(abs(left - np.ravel(found.left)) <= np.ravel(found.bound))
@@ -106,6 +107,38 @@ def test_rates_are_those_of_exact_answers(border: bool, problems: int) -> None:
     assert bounded >= seen // 4
     assert slips >= problems // 8
     assert (two_sided >= 2 * problems) == border
+
+
+@pytest.mark.parametrize("unit", [1.0, pytest.param(2.0**-60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("border", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not(border: bool, unit: float) -> None:
+    """Of every quantity along every parameter, also those along which answers are not linear."""
+    rng, parts = np.random.default_rng(15), {}
+    for _ in range(12 if border else 4):
+        problem = at_borders(rng) if border else drawn(rng)
+        problem = problem.replace(stiffness=problem.stiffness * unit, load=problem.load * unit)
+        tie, value = rng.integers(-2, 3, (1, problem.dimension)).astype(float), [0.25]
+        problem = problem if border else problem.replace(tie=tie, tie_value=value)
+        solution, answer = cq.solve(problem), cq.exact(problem)
+        if solution.certificate.uniqueness:
+            continue
+        for name, direction in directions(rng, problem).items():
+            scale = unit / 3 if name in ("load", "stiffness") else 1 / 3
+            for of in QUANTITIES:
+                found, true = (one.derivative(of, name, direction * scale) for one in (solution, answer))
+                if found.bound is None or true.right is None:
+                    continue
+                for rates, exactly in ((found.left, true.left), (found.right, true.right)):
+                    for one, other, bound in zip(*map(np.ravel, (rates, exactly, found.bound)), strict=True):
+                        error = abs(Fraction(float(one)) - Fraction(other))
+                        assert error <= Fraction(float(bound)), (of, name)
+                        part = error / Fraction(float(bound)) if bound > 0 else Fraction()
+                        parts.setdefault((of, name), []).append(part)
+    assert len(parts) == 6 * (len(QUANTITIES) - border)  # no ties at borders
+    for of in ("displacement", "normal_force"):
+        for name in ("friction", "stiffness", "rows"):
+            found = parts[of, name]
+            assert sum(part > Fraction(1, 10) for part in found) >= len(found) // 20, (of, name)
 
 
 @pytest.mark.parametrize("problems", [1, pytest.param(6, marks=pytest.mark.slow)])

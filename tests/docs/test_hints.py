@@ -17,7 +17,7 @@ from pathlib import Path
 import click
 import pytest
 
-from contactqp.analysis.derivatives import FRAMEWORKS
+from contactqp.analysis.many_loads import FRAMEWORKS
 from contactqp.cli import command
 from tests.docs.blocks import ROOT, pages
 from tests.docs.commands import A_CASE, given_files, inline_commands, typed, unused
