@@ -44,7 +44,7 @@ def test_these_are_at_least_28():
 
 
 @pytest.mark.parametrize("name", HARD)
-@pytest.mark.parametrize("time_limit", [2.0, pytest.param(TIME_LIMIT, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("time_limit", [1.0, pytest.param(TIME_LIMIT, marks=pytest.mark.slow)])
 def test_what_is_not_solved_in_time_is_refused(name, time_limit):
     run = solved(name, time_limit)
     assert run.solved or not run.claimed

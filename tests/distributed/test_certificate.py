@@ -63,6 +63,7 @@ def test_what_is_made_for_one_rule_is_judged_as_by_one_process(on_ranks: Callabl
     assert problems == ["lever"] * 3 + ["fallen"] * 3 + ["pushed out"] * 3 + ["across the bar"] * 2
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 3])
 def test_bounds_that_a_solver_has_enter_the_verdict(on_ranks: Callable[..., str], count: int) -> None:
     assert "judged" in on_ranks("bounds.py", count)

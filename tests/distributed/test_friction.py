@@ -62,7 +62,8 @@ def test_the_fixed_point_alone_comes_to_the_same_answer(
     assert " 1 steps" not in on_ranks("friction_answers.py", count, "mumps", "--steps", *names)
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 3])
 def test_wrong_answers_are_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("friction_refused.py", count)
 

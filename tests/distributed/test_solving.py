@@ -48,11 +48,20 @@ def test_options_name_other_preconditioners(on_ranks: Callable[..., str], count:
     assert on_ranks("other_preconditioners.py", count).strip() == "obeyed"
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_what_is_wrong_is_refused_on_two_ranks(on_ranks: Callable[..., str]) -> None:
+    """What the slow tests show of each script on more ranks, those of bounds and of friction included."""
+    scripts = ("refused_answers.py", "refused_arguments.py", "bounds.py", "friction_refused.py")
+    said = on_ranks("together.py", 2, *scripts)
+    assert (said.count("judged"), said.count("refused")) == (2, 4)  # of two scripts both ranks speak, maybe at once
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 3])
 def test_what_is_no_answer_is_refused(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_answers.py", count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2])
 def test_arguments_that_are_no_good_are_refused_in_one_line(on_ranks: Callable[..., str], count: int) -> None:
     assert "refused" in on_ranks("refused_arguments.py", count)
