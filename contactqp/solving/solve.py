@@ -249,7 +249,7 @@ def _solve(
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
-            if limited or systems is not Systems.CONDENSED or isinstance(error, NotConverged):
+            if limited or systems is not Systems.CONDENSED:
                 raise
             return by_sparse_systems(problem, find(method), settings, error)
         systems = systems_of(problem)  # what has failed may have found that a body floats

@@ -253,8 +253,10 @@ class SparseRun(Run):
         refuse_sparse_drive(self.problem)
 
 
-def by_sparse_systems(problem: ContactProblem, method: Method, settings: Settings, error: NotCertified) -> Solution:
-    """Return the certified solution that a backend leads to on sparse systems where condensed ones lose its answer.
+def by_sparse_systems(
+    problem: ContactProblem, method: Method, settings: Settings, error: NotCertified | NotConverged
+) -> Solution:
+    """Return the certified solution that a backend leads to on sparse systems where condensed ones led to none.
 
     Raises the error where these lead to none, with friction, and for methods that are shown dense matrices.
 
@@ -262,7 +264,7 @@ def by_sparse_systems(problem: ContactProblem, method: Method, settings: Setting
     ----------
     problem, method, settings
         As in `Run`.
-    error : what the answer on condensed systems was refused with
+    error : that of the condensed systems
     """
     if problem.frictional or method.kind == CONDENSES_ITSELF or not has_sparse_systems(method):
         raise error

@@ -62,6 +62,17 @@ def test_answers_that_condensed_systems_lose_are_settled_on_sparse_ones(backend:
     assert found == "sparse: its answer is certified"
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_backend_that_stops_on_condensed_systems_is_shown_sparse_ones(seed: int) -> None:
+    pytest.importorskip("highspy")
+    problem, least = degenerate(seed, True, 20, 12, 6)
+    solution = cq.solve(problem, "highs")
+    assert solution.certificate.proven
+    assert solution.energy == pytest.approx(least, rel=1e-12)
+    assert solution.work.routes == ("highs: not solved", "sparse: its answer is certified")
+
+
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("backend", "seed"), [("piqp", 19), ("piqp", 31), ("piqp", 52), ("clarabel", 4), ("clarabel", 16), ("clarabel", 18)]
