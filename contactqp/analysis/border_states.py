@@ -30,7 +30,7 @@ from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.friction_states import friction_bound, refined_in
-from contactqp.linalg.refinement import CAUTION, INVISIBLE, answer_on
+from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
 from contactqp.model.problem import ContactProblem
@@ -72,6 +72,7 @@ class Decided:
     friction_force: Array  # (m, d-1)
     gap: Vector  # (m,)
     slip: Array  # (m, d-1)
+    sure: bool  # whether what is at a border is so to twice double precision, so not merely within an allowance of it
 
 
 def decided(
@@ -121,11 +122,13 @@ def _decided_in(
     if found is None:
         return None
     (push, drag, gap, slip), no_force, no_gap, room = found
-    following, grazing, at_bound = status.copy(), [], []
+    following, grazing, at_bound, away = status.copy(), [], [], 0.0
     for i in near:
         smooth = problem.friction is None or problem.friction[i] == 0
         if abs(push[i]) <= no_force[i] and abs(gap[i]) <= no_gap[i]:
             grazing.append(i)
+            left = ((abs(push[i]), no_force[i]), (abs(gap[i]), no_gap[i]))
+            away = max([away, *(INVISIBLE * size / nothing for size, nothing in left if nothing > 0)])
         elif status[i] == OPEN or push[i] < 0:
             following[i] = OPEN if status[i] != OPEN or gap[i] > 0 else SLIP_ON if smooth else STICK
         elif smooth:
@@ -134,13 +137,14 @@ def _decided_in(
             following[i] = STICK if room[i] > 0 else SLIP_ON if drag[i, 0] > 0 else SLIP_BACK
         elif status[i] == STICK or slip[i, 0] == 0:
             at_bound.append(i)
+            away = max(away, abs(room[i]) / abs(drag[i, 0])) if drag[i, 0] else away
         else:
             following[i] = status[i] if status[i] * slip[i, 0] > 0 else STICK
     if not np.array_equal(following, status):
         return following
     following[at_bound], following[grazing] = STICK, OPEN
     at_border = np.array(grazing, dtype=np.intp), np.array(at_bound, dtype=np.intp)
-    return Decided(following, *at_border, push, drag, gap, slip)
+    return Decided(following, *at_border, push, drag, gap, slip, away <= ROUNDED_AWAY)
 
 
 def _beyond_doubles(

@@ -171,7 +171,7 @@ class Linearised:
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
             found = decided(problem, condense(problem), status, near, parts)
-            self.sure = self.sure or found is not None
+            self.sure = self.sure or (found is not None and found.sure)
             if found is not None:
                 self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
                 self.push, self._drag, self._gap, self._slip = (

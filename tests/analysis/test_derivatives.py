@@ -398,3 +398,18 @@ def test_redundant_contacts_that_graze_have_unique_displacements() -> None:
     wedged = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [-1.0]], [2.0, -2.0]))  # between two walls
     assert "redundant" in wedged.derivative("normal_force", "load", [1.0]).reason
     assert wedged.derivative("displacement", "load", [1.0]).value == pytest.approx([0.0])
+
+
+@pytest.mark.parametrize("overlap", [0.0, 2.0**-91, 2.0**-74])
+def test_what_may_graze_or_not_has_no_bound(overlap: float) -> None:
+    """An overlap of 5e-23 of what meets there counts as grazing: beside what its rates are then no bound is known."""
+    problem = cq.ContactProblem([[2.0**34, 0.0], [0.0, 1.0]], [0.0, 1.0], [[1.0, 0.0]], [-overlap])
+    solution, answer = cq.solve(problem), cq.exact(problem)
+    found, true = (one.derivative("displacement", "load", [1.0, 0.0]) for one in (solution, answer))
+    assert true.exists == (overlap > 0)
+    if overlap == 2.0**-91:
+        assert found.bound is None
+    else:
+        assert found.bound is not None
+        for rates, exactly in ((found.left, true.left), (found.right, true.right)):
+            assert all(abs(Fraction(float(x)) - y) <= b for x, y, b in zip(rates, exactly, found.bound, strict=True))
