@@ -73,8 +73,9 @@ from contactqp.solving.sparse_run import SPARSE, SparseRun, after, by_sparse_sys
 OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
 # anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems;
-# the last first where there are more constraints than unknowns, among which pivots may go a long way.
+# the last first where there are more constraints than unknowns, or than this, among which pivots may go a long way.
 ROUTES = ("lemke", "lagrange-multiplier", "clarabel", SPARSE)
+MANY_PIVOTS = 100
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "aclm", "enumeration")
 
@@ -291,7 +292,7 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
             return {name: routes.pop(name) for name in ("newton", "enumeration")} | routes
         return routes
     routes = {route: {"condense": False} if route == SPARSE else {"method": route} for route in ROUTES}
-    if problem.contacts + problem.ties > problem.dimension:
+    if problem.contacts + problem.ties > min(problem.dimension, MANY_PIVOTS):
         return {SPARSE: routes.pop(SPARSE), **routes}
     return routes
 
