@@ -344,21 +344,23 @@ def _uniform_unit(problem: ContactProblem) -> int:
     stiffest = problem.diagonal.max(initial=0.0)
     if stiffest > 0:
         return -(int(_exponent(stiffest)) // 2)
-    forces, lengths = _largest_force_and_length(problem)
-    return (lengths - forces) // 2 if min(forces, lengths) > LEAST else 0
+    sizes = np.concatenate([_row_exponents(problem.normal), _row_exponents(problem.tie)])
+    return _unit_of_loads(problem, np.zeros(problem.dimension, dtype=int), np.where(sizes > LEAST, sizes, 0))
 
 
-def _largest_force_and_length(problem: ContactProblem) -> tuple[int, int]:
-    """Return the exponents of the largest load and of the largest finite gap, tie or slip origin."""
-    normal = _row_exponents(problem.normal)
-    normal = np.where(normal > LEAST, normal, 0)
-    lengths = [
-        (_exponent(problem.gap) - normal)[np.isfinite(problem.gap)],
-        _exponent(problem.tie_value) - _row_exponents(problem.tie),
-    ]
+def _unit_of_loads(problem: ContactProblem, unknowns: Index, rows: Index) -> int:
+    """Return the exponent of D, beside others of unknowns (n,) and rows, by which loads and lengths are near.
+
+    Lengths are finite gaps, ties and slip origins; the largest count.
+    """
+    m = problem.contacts
+    normal, tie = rows[:m], rows[m : m + problem.ties]
+    lengths = [(_exponent(problem.gap) - normal)[np.isfinite(problem.gap)], _exponent(problem.tie_value) - tie]
     if problem.slip_origin is not None:
         lengths.append((_exponent(problem.slip_origin) - normal[:, None]).ravel())
-    return int(np.max(_exponent(problem.load), initial=NONE)), int(np.max(np.concatenate(lengths), initial=NONE))
+    force = int(np.max(_exponent(problem.load) + unknowns, initial=NONE))
+    length = int(np.max(np.concatenate(lengths), initial=NONE))
+    return (length - force) // 2 if min(force, length) > LEAST else 0
 
 
 def _rescaled(
@@ -412,15 +414,20 @@ def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
     unknowns = np.where(stiff, -(_exponent(problem.diagonal) // 2), 0)
     balanced = balanced_exponents(_of_constraints(problem, entries), exponent, unknowns, ~stiff)
     if balanced is not None:
-        sizes = _largest_at(count, entries.row, exponent + balanced[entries.col])
-        return balanced, np.where(sizes > LEAST, sizes, 0)
+        return _with_loads_near_lengths(problem, entries, balanced)
     use = stiff[entries.col]
     sizes = _largest_at(count, entries.row[use], (exponent + unknowns[entries.col])[use])
     sizes = np.where(sizes > LEAST, sizes, _largest_at(count, entries.row, exponent + unknowns[entries.col]))
     of_columns = _largest_at(problem.dimension, entries.col, exponent - sizes[entries.row])
-    unknowns = np.where(~stiff & (of_columns > LEAST), -of_columns, unknowns)
-    sizes = _largest_at(count, entries.row, exponent + unknowns[entries.col])
-    return unknowns, np.where(sizes > LEAST, sizes, 0)
+    return _with_loads_near_lengths(problem, entries, np.where(~stiff & (of_columns > LEAST), -of_columns, unknowns))
+
+
+def _with_loads_near_lengths(problem: ContactProblem, entries: Any, unknowns: Index) -> tuple[Index, Index]:
+    """Return exponents of D and those of all rows; without stiffness, one unit more brings loads near lengths."""
+    sizes = _largest_at(entries.shape[0], entries.row, _exponent(entries.data) + unknowns[entries.col])
+    sizes = np.where(sizes > LEAST, sizes, 0)
+    unit = 0 if problem.diagonal.any() else _unit_of_loads(problem, unknowns, sizes)
+    return unknowns + unit, sizes + unit
 
 
 def _times(rows: Any, of_rows: Index, of_unknowns: Index) -> Any:

@@ -398,3 +398,27 @@ def test_rows_and_unknowns_in_units_of_both_that_hide_each_other() -> None:
     judged = cq.certify(problem, [-0.5, -e / 2], forces, None, [tie])
     assert not judged.passed
     assert any("complementarity" in text for text in judged.failures)
+
+
+def test_small_programs_without_stiffness_are_solved_where_loads_are_far_from_lengths() -> None:
+    """Loads of 1e17 beside gaps of 1e-10, unknowns in units of their own: lengths were lost beside loads."""
+    contacts = np.array([[-3.0, -1, -3, -1, 2], [1, 0, 1, 0, 0], [0, -1, 0, -1, 2], [-4, -2, -4, -2, 4]])
+    ties = np.array([[-2.0, 0, -2, 0, 0], [3, 2, 3, 2, -4], [3, 2, 3, 2, -4]])
+    u, force = np.array([-0.875, 0.0, 0.25, 1.0, 0.625]), np.array([0.25, 0.8125, 1.0, 0.0])
+    load = contacts.T @ force + ties.T @ [0.3125, 0.0, -0.5625]
+    unit, length, pull = 2.0 ** np.array([-20, -22, -14, 4, 14]), 2.0**-26, 2.0**34
+    row, tied = 2.0 ** np.array([-10, -4, -6, 12]), 2.0 ** np.array([-6, -12, -2])
+    problem = cq.ContactProblem(
+        np.zeros((5, 5)),
+        load * pull / unit,
+        contacts / unit * row[:, None],
+        contacts @ u * row * length,
+        tie=ties / unit * tied[:, None],
+        tie_value=ties @ u * tied * length,
+    )
+    solution = cq.solve(problem)
+    plain = cq.solve(cq.ContactProblem(np.zeros((5, 5)), load, contacts, contacts @ u, tie=ties, tie_value=ties @ u))
+    energy = -float(load @ u)
+    assert plain.certificate.passed and solution.certificate.passed
+    assert plain.energy == pytest.approx(energy, rel=1e-9)
+    assert solution.energy == pytest.approx(energy * pull * length, rel=1e-9)
