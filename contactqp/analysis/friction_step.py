@@ -42,6 +42,8 @@ JUMP = 1e-13
 HALVINGS = 30
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
+# A slip of this part of the lengths that meet is rounding of these.
+STILL = float(np.finfo(float).eps)
 # Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out, and again
 # by it where one closes all the same, so many times.
 WIDENED = 1e3
@@ -67,10 +69,20 @@ class State:
     overlap: Mask  # (m,) held open, and too far in to be rounding
     step: Unfinished
     cancelled: bool = False  # whether the positions have lost digits
+    origin: Array | float = 0.0  # (m, d-1) where slips were counted from [length]
+    still: Array | float = 0.0  # (m, d-1) the slips that are rounding [length]
 
     @cached_property
     def settled(self) -> Array:
-        """The positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are lost."""
+        """The positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are lost.
+
+        A slip that is rounding leaves a contact where it was: of contacts that share a motion, all would slip by it.
+        """
+        reached = self._reached
+        return np.where(abs(reached - self.origin) <= self.still, self.origin, reached)
+
+    @property
+    def _reached(self) -> Array:
         if not self.cancelled:
             return self.position
         try:
@@ -275,7 +287,11 @@ class PlaneStepper:
         return self._state(step, fraction, origin, held_open)
 
     def accept(self, state: State) -> State:
-        """Return the state as a step of the path; the next solve starts from its combination of states."""
+        """Return the state as a step of the path; the next solve starts from its combination of states.
+
+        Contacts that touch without force start as sticking ones: bodies that lie on them alone are held by nothing
+        else, and a gap that is rounding would leave them without an equilibrium.
+        """
         self._meter = Meter(self._problem)
         if not isinstance(state.step, UncertifiedStep):
             state = self._otherwise.accept(state)
@@ -285,6 +301,7 @@ class PlaneStepper:
         else:
             solution = step.finish()
             self._status = combination_of(solution.problem, solution)
+        self._status = np.where((self._status == OPEN) & state.touching, STICK, self._status).astype(np.int8)
         return state
 
     def _state(self, step: UncertifiedStep, fraction: float, origin: Array, held_open: Mask) -> State:
@@ -306,6 +323,8 @@ class PlaneStepper:
             touching=(status != OPEN) | (abs(found.gap) <= rounding),
             overlap=held_open & (found.gap < -rounding),
             step=step,
+            origin=origin,
+            still=(STILL / TOUCHING * rounding * rows.tangent_length)[:, None],
             cancelled=bool(np.max(abs(lengths[0]), initial=0.0) > CANCELS * most),
         )
 
@@ -419,6 +438,8 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
     largest = float(np.max(np.sqrt(problem.diagonal) * abs(u), initial=0.0))
     nearby = np.sqrt(own_compliance(problem, problem.normal)) * largest
     rounding = TOUCHING * (row_sizes(problem, problem.normal).lengths(abs(u)) + abs(problem.gap) + nearby)
+    along = row_sizes(problem, problem.tangent).lengths(abs(u))
+    still = STILL * (along + np.sqrt(own_compliance(problem, problem.tangent)) * largest)
     pushes = solution.normal_force > 0
     return State(
         fraction=fraction,
@@ -429,4 +450,6 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
         touching=pushes | (gap <= rounding),
         overlap=held_open & (gap < -rounding),
         step=SolvedStep(solution),
+        origin=problem.slip_origin,
+        still=still.reshape(problem.slip_origin.shape),
     )

@@ -19,6 +19,7 @@ import numpy as np
 
 from contactqp.analysis.friction_step import (
     SAME,
+    STILL,
     TOUCHING,
     WIDENED,
     WIDENINGS,
@@ -166,7 +167,7 @@ class _Stepper:
             at = replace(problem, load=load, slip_origin=origin[here], gap=problem.gap + far * WIDENED**k)
             solution = _solved_from(self._start_solution, at, self._method, self._options)
             if not problem.ranks.any(solution.answer.normal_force[held_open[here]] > 0):
-                return self._state(solution, fraction, held_open)
+                return self._state(solution, fraction, held_open, origin)
         raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
@@ -189,7 +190,7 @@ class _Stepper:
         self.before = self._start_solution = found
         return state
 
-    def _state(self, solution: DistributedSolution, fraction: float, held_open: Mask) -> State:
+    def _state(self, solution: DistributedSolution, fraction: float, held_open: Mask, origin: Array) -> State:
         """Return what the next step needs of a solution; gaps are those of the problem."""
         problem, u = self._problem, solution.answer.displacement
         rows: Any = problem.tangent
@@ -198,7 +199,9 @@ class _Stepper:
         rounding = TOUCHING * (lengths + np.sqrt(row_sizes(problem, problem.normal).compliance) * largest)
         gap = problem.gap - problem.normal.lengths(u)
         position = rows.lengths(u).reshape(_origin(problem).shape)
-        gap, rounding, position = (self._gathered(part) for part in (gap, rounding, position))
+        still = STILL * (rows.length_sizes(u) + np.sqrt(row_sizes(problem, rows).compliance) * largest)
+        still = still.reshape(position.shape)
+        gap, rounding, position, still = (self._gathered(part) for part in (gap, rounding, position, still))
         pushes = self._gathered(solution.answer.normal_force) > 0
         step: Any = solution
         return State(
@@ -210,6 +213,8 @@ class _Stepper:
             touching=pushes | (gap <= rounding),
             overlap=held_open & (gap < -rounding),
             step=SolvedStep(step),
+            origin=origin,
+            still=still,
         )
 
     def _gathered(self, values: Any) -> Any:

@@ -11,6 +11,7 @@ import contactqp as cq
 from contactqp.analysis import friction_step
 from contactqp.analysis.friction_step import Anchors, State, step_to
 from tests.analysis.friction_paths import WEIGHTS, pulled, rolling_block, truss_from_rest
+from tests.public_objects import CASES
 from tests.solving.friction.problems import TOUCH, two_masses
 
 
@@ -131,3 +132,36 @@ def test_a_step_that_fails_says_where() -> None:
     problem, loads = rolling_block(0.3, (6, 2))
     with pytest.raises(cq.NotConverged, match=r"t = 0\.25"):
         cq.follow_path(problem, loads, steps=4, algorithm="tresca", max_iter=1)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-17, 1e-13])
+def test_a_body_that_lies_on_one_contact_is_anchored_there_whatever_rounding_makes_of_its_gap(gap: float) -> None:
+    """Three masses on one middle foot hold each other by bending; the outer feet come down at 0.2 of the load.
+
+    A foot that was open by rounding left the bodies to roll, and positions of 1e-34 let feet of one slide slip apart.
+    """
+    bending = np.array([1.0, -2.0, 1.0, 0.0])
+    down, along = -np.eye(3, 4), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    problem = cq.ContactProblem(
+        10.0 * np.outer(bending, bending), np.zeros(4), down, [0.01, gap, 0.01], tangent=along, friction=0.4
+    )
+    pressed = [-1.0, -1.0, -1.0, 0.0]
+    history = cq.follow_path(problem, loads=[pressed, [*pressed[:3], 0.3]], steps=2)
+    assert all(solution.certificate.passed for solution in history)
+    # Closed feet share the load: the ends give 10 (0.02) = 0.2 less than their weights to the ground.
+    np.testing.assert_allclose(history[-1].normal_force, [0.8, 1.4, 0.8], rtol=1e-9)
+    np.testing.assert_allclose(history[-1].friction_force.sum(), 0.3, rtol=1e-9)
+    assert np.all(history[-1].slip == 0.0)
+
+
+@pytest.mark.slow
+def test_a_cylinder_on_one_node_takes_as_few_solves_in_feet_as_in_millimetres(tmp_path, monkeypatch) -> None:
+    """In feet the gap of the middle node is 7e-18: the path took minutes, by steps of 1e-9, for one second."""
+    counts = []
+    solve = friction_step.PlaneStepper.solve
+    monkeypatch.setattr(friction_step.PlaneStepper, "solve", lambda *arguments: counts.append(1) or solve(*arguments))
+    text = (CASES / "cattaneo_mindlin_cylinder.toml").read_text("utf-8")
+    case = tmp_path / "feet.toml"
+    case.write_text(text.replace('length = "mm"', 'length = "ft"'), "utf-8")
+    cq.run(cq.load_scene(case))
+    assert len(counts) < 150
