@@ -348,6 +348,10 @@ class SolveStepper:
         problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
             _refuse_driven(problem)
+        if np.any(held_open) and self._stay_open(fraction, held_open):
+            found = self._as_stated(problem, fraction, held_open)
+            if found is not None:
+                return found
         for widened in _widened(problem, held_open):
             solution = self._solved(widened, self._predicted(fraction))
             if not np.any(solution.normal_force[held_open] > 0):
@@ -372,6 +376,28 @@ class SolveStepper:
         if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME * size:
             raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
         return replace(state, step=SolvedStep(solution))
+
+    def _stay_open(self, fraction: float, held_open: Mask) -> bool:
+        """Say whether contacts keep a gap on the line through the last two steps of the leg, as far as there are two.
+
+        Then the problem is solved with its own gaps, which `accept` would have to do again after wider ones.
+        """
+        if len(self._steps) < 2:
+            return True
+        (first, earlier), (second, before) = self._steps
+        reachable = held_open & np.isfinite(self._problem.gap)
+        gap, moved = before.gap[reachable], before.gap[reachable] - earlier.gap[reachable]
+        return bool(np.all(gap + (fraction - second) / (second - first) * moved > 0))
+
+    def _as_stated(self, problem: ContactProblem, fraction: float, held_open: Mask) -> State | None:
+        """Return the equilibrium with the gaps of the problem, or None where contacts that are held open close."""
+        try:
+            solution = self._solved(problem, self._predicted(fraction))
+        except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
+            return None
+        pushed, dragged = solution.normal_force[held_open], solution.friction_force
+        closes = np.any(pushed > 0) or (dragged is not None and np.any(dragged[held_open]))
+        return None if closes else _state_of(problem, solution, fraction, held_open)
 
     def _predicted(self, fraction: float) -> Solution | None:
         """Return the last step with its forces continued along the line through the last two steps of the leg."""

@@ -85,6 +85,23 @@ def test_two_tangential_directions_are_anchored_where_they_close(steps: int, mon
     assert history.energies[-1].dissipated == pytest.approx(0.0, abs=1e-15)
 
 
+def test_a_step_that_closes_no_contact_is_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Contacts without an anchor were held far away first, and every such step solved again with its own gaps."""
+    K, floor, sideways = np.diag([2.0, 2.0, 3.0]), [[0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    problem = cq.ContactProblem(K, np.zeros(3), floor, [1.0], tangent=sideways, friction=0.3)
+    solved: list[cq.ContactProblem] = []
+
+    def counting(problem: cq.ContactProblem, *arguments: object, **options: object) -> cq.Solution:
+        solved.append(problem)
+        return cq.solve(problem, *arguments, **options)
+
+    monkeypatch.setattr(friction_step, "solve", counting)
+    history = cq.follow_path(problem, [[1.0, 0.0, -2.0]], steps=4)
+    assert history[-1].gap == pytest.approx([1.0 - 2.0 / 3.0])
+    assert len(solved) == 5  # the start, and each step
+    assert all(one.gap == [1.0] for one in solved)
+
+
 class _Bent:
     """A gap that falls along a bent line, open until `touch`, and how often it was asked for."""
 
