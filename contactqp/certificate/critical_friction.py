@@ -20,7 +20,7 @@ import numpy as np
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.delassus import ContactCompliance, contact_compliance
+from contactqp.linalg.delassus import ContactCompliance, ContactOperators, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import ratio
 from contactqp.model.arguments import checked
@@ -37,6 +37,12 @@ MOST_UNKNOWNS = 2000
 MOST_COMBINED = 6
 # A determinant of this part of the product of its rows' lengths may be zero.
 SINGULAR = 1e-12
+# The compliance of a slip that all supports prevent, of contacts whose own is one.
+UNFELT = 1e-9
+# Halves of a radius that are tried: contacts are at least so far from where an answer is looked for.
+HALVINGS = 50
+# A map that takes what refinement leaves to more than so many times as much is nearly singular.
+MOST_GROWTH = 8.0
 # Singular values of this part of the largest are zero.
 SINGULAR_SYSTEM = 1e-11
 
@@ -274,3 +280,134 @@ def _one_sign(W: Array, mu: Vector) -> bool:
     # A small determinant may be that of many small eigenvalues, and its sign still be known.
     values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
     return bool(np.all(values[:, -1] > SINGULAR_SYSTEM * values[:, 0]))
+
+
+def felt_rows(compliance: ContactOperators) -> Mask:
+    """Return the rows (m, d) that move something."""
+    return np.asarray(compliance.W.diagonal().reshape(len(compliance.scale), -1) > 0)
+
+
+def acting_rows(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:
+    """Return the rows (m, d) on which forces may act, and be felt, while every contact keeps its state."""
+    rows = felt_rows(compliance)
+    rows[:, 1:] &= (mu > 0)[:, None]
+    return np.asarray(rows & (status != OPEN)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A ball of slips in which the map of `SlipsNearby.settled` has one zero, if any."""
+
+    inverse: float  # |J^-1|
+    spread: Vector  # (q,) |J^-1 A_i'|
+    slack: float  # 1 - q
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class SlipsNearby:
+    """How the slips of contacts that stay in their states change with their forces, others keeping gap and place.
+
+    Slips change by A_i y and normal forces by P_i y, y of the length |d|_W that forces d have.
+    """
+
+    slides: Mask  # (m,) which contacts slip, with friction
+    mu: Vector  # (q,)
+    slip: Array  # A (q, d-1, p)
+    pushed: Array  # P (q, p)
+    kappa: float  # of two answers with the same states
+
+    @classmethod
+    def none(cls, mu: Vector) -> SlipsNearby:
+        """Return that of states in which no slip turns: a linear system, whose refinement has settled."""
+        return cls(np.zeros(len(mu), dtype=bool), mu[:0], np.zeros((0, 1, 0)), np.zeros((0, 0)), 0.0)
+
+    @property
+    def widest(self) -> Vector:
+        """The largest slip (q,) of each contact for a y of length one."""
+        return np.linalg.norm(self.slip, ord=2, axis=(1, 2)) if self.slip.size else np.zeros(0)
+
+    def settled(self, push: Vector, slip: Array, allowance: float, most: float) -> Settled | None:
+        """Return a ball around slips s (q, d-1) with forces N (q,) in which one answer is at most, or None.
+
+        Coulomb's law is H(y) = y + sum A_i'(mu N t - l_T) = 0, N + P_i y for N, s + A_i y for s and t = s / |s|, with
+
+            J = I + sum A_i'(mu t P_i + mu N / |s| (I - t t') A_i).
+
+        In |y| <= r slips turn by no more than |A_i| r / (|s| - |A_i| r), and what J changes by then is bounded term by
+        term; where that is |I - J^-1 J(y)| <= q < 1, y - J^-1 H(y) contracts (L. V. Kantorovich, 1948): one y at most
+        has H = 0, and it is there, no further than |J^-1 H(0)| / (1 - q), where that is less than r. A map
+        that is nearly singular has no ball.
+
+        Parameters
+        ----------
+        push, slip : normal forces and slips, in the scale of the compliance
+        allowance : what rounding makes of the compliance, a part of it
+        most : the largest radius that is asked for
+        """
+        size, wide, far = np.linalg.norm(slip, axis=1), self.widest, np.linalg.norm(self.pushed, axis=1)
+        if not (np.all(size > 0) and np.all(push >= 0) and most > 0):
+            return None
+        t = slip / size[:, None]
+        across = np.eye(t.shape[1]) - t[:, :, None] * t[:, None, :]
+        J = np.eye(self.pushed.shape[1]) + np.einsum("iwp,iw,iq->pq", self.slip, self.mu[:, None] * t, self.pushed)
+        J += np.einsum("i,iwp,iwv,ivq->pq", self.mu * push / size, self.slip, across, self.slip, optimize=True)
+        try:
+            inverse = np.linalg.inv(J)
+        except np.linalg.LinAlgError:
+            return None
+        norms = float(np.linalg.norm(inverse, 2)), float(np.linalg.norm(J, 2))
+        if not norms[0] <= MOST_GROWTH:
+            return None
+        given = 2 * norms[0] * norms[1] * (allowance + len(J) * float(np.finfo(float).eps))
+        spread = np.linalg.norm(inverse @ self.slip.swapaxes(1, 2), ord=2, axis=(1, 2))
+        radius = min(most, 0.5 * float(np.min(np.divide(size, wide, out=np.full_like(size, np.inf), where=wide > 0))))
+        for _ in range(HALVINGS):
+            least = size - wide * radius
+            turned = wide * radius / least
+            curved = far * radius / least + push / size * (wide * radius / least + turned)
+            q = given + float(np.sum(self.mu * spread * (turned * far + curved * wide)))
+            if q <= 0.5:
+                return Settled(norms[0], spread, 1 - q, radius)
+            radius /= 2
+        return None
+
+
+def slips_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> SlipsNearby | None:
+    """Return the slips of contacts that stay in their states, and kappa of two such answers; None where W is singular.
+
+    Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
+    slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
+    of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
+    """
+    m, d = len(mu), len(compliance.W) // len(mu)
+    closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
+    if d == 2 or not np.any(slides):
+        return SlipsNearby.none(mu)
+    place = np.arange(m * d).reshape(m, d)
+    acting = acting_rows(compliance, status, mu)
+    if not acting[slides].any(axis=1).all():
+        return None
+    sticks = acting & (status == STICK)[:, None]
+    kept = np.concatenate([place[closed, 0], place[:, 1:][sticks[:, 1:]]])
+    along = place[slides, 1:].ravel()
+    whole = compliance.operator(np.concatenate([kept, along]), len(compliance.J))
+    order = np.arange(len(whole))
+    slips = (order >= len(kept)) & (order < len(kept) + len(along))
+    try:
+        drawn = np.linalg.solve(whole[np.ix_(~slips, ~slips)], whole[np.ix_(~slips, slips)])
+        S = whole[np.ix_(slips, slips)] - whole[np.ix_(slips, ~slips)] @ drawn
+        S += np.diag(UNFELT * ~acting[slides, 1:].ravel())  # there e = 0, whatever it would cost
+        factor = np.linalg.cholesky((S + S.T) / 2)
+    except np.linalg.LinAlgError:
+        return None
+    pushed = np.linalg.solve(factor, drawn[np.searchsorted(place[closed, 0], place[slides, 0])].T).T
+    slip: Array = np.asarray(factor, dtype=float).reshape(len(pushed), d - 1, -1)
+    sizes = np.linalg.norm(slip, axis=(1, 2)), np.linalg.norm(pushed, axis=1)
+    weight = np.divide(*sizes, out=np.ones(len(pushed)), where=sizes[1] > 0)
+    own = mu[slides]
+    square = pushed.T @ ((own * weight)[:, None] * pushed)
+    square = square + np.einsum("i,iwp,iwq->pq", own / weight, slip, slip)
+    if not np.all(np.isfinite(square)):
+        return None
+    return SlipsNearby(slides, own, slip, pushed, float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2)

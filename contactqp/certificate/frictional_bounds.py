@@ -30,9 +30,10 @@ the candidate to that answer is added.
 Where kappa is not below 1 the combination itself is looked at. If every sign holds by a margin, an equilibrium nearer
 than r, the least margin over its V_i or w_i, has the same combination: what is open stays open, so that d acts on the
 closed contacts alone and V_i^2 is that of their rows. That combination has one answer: in the plane that of a linear
-system, in space where a smaller constant, in which slipping contacts alone count (`_kappa_nearby`), is below 1. Slips
+system, in space where a smaller constant, in which slipping contacts alone count (`slips_nearby`), is below 1: slips
 are then the only zero of a continuous, strongly monotone map on a ball, and one is there (Brouwer), since what the
-refined slips leave is less than the map grows by within the ball. `scope` is "local", `radius` is r in the energy norm.
+refined slips leave is less than the map grows by within the ball; elsewhere by Newton and Kantorovich, as
+`SlipsNearby.settled` says. `scope` is "local", `radius` is r in the energy norm.
 
 A body that contacts alone hold has no W. Nearer than r then means in the norm of M = S + A'A + Z Z' on the retained
 unknowns, in which springs hold the rigid motions Z (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with
@@ -52,7 +53,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
-from contactqp.certificate.critical_friction import MOST_CONTACTS, MOST_UNKNOWNS, critical, of_operator, too_many
+from contactqp.certificate.critical_friction import (
+    MOST_CONTACTS,
+    MOST_UNKNOWNS,
+    SlipsNearby,
+    acting_rows,
+    critical,
+    felt_rows,
+    of_operator,
+    slips_nearby,
+    too_many,
+)
 from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
 from contactqp.certificate.state_bodies import Compared
 from contactqp.linalg.condensation import Condensation
@@ -73,8 +84,8 @@ from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
 # Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
 TOO_ROUNDED = 1e-2
-# The compliance of a slip that all supports prevent, of contacts whose own is one.
-UNFELT = 1e-9
+# Coulomb's law in doubles is missed by this part of the friction, by rounding.
+ROUNDED = 8 * float(np.finfo(float).eps)
 # Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
 SYMMETRIC = 1e-15
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
@@ -176,7 +187,7 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
         return "its refined answer leaves ties unmet"
     kappa = np.inf
     if not compliance.floats:
-        norms = _Norms.of(compliance, condensation.lost_digits, _felt(compliance))
+        norms = _Norms.of(compliance, condensation.lost_digits, felt_rows(compliance))
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
@@ -201,36 +212,55 @@ def _proven_nearby(
     kappa : not below one, so that there is no global statement
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
-    norms = _Norms.of(compliance, condensation.lost_digits, _acting(compliance, compared.status, mu))
+    norms = _Norms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
     if norms is None:
         return DEPENDENT
     others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
-    nearby = _kappa_nearby(compliance, compared.status, mu) * (1 + norms.allowance)
-    if not nearby < 1:
-        return f"{others}, nor others nearby ({nearby:.3g})"
     uncertain, apart = refined.correction, 0.0
     if compliance.floats:
         uncertain += _rigid_rounding(compliance, compared, refined, mu)
         moved = (extend(answer.displacement) - compared.refined.displacement).double()
         apart = float(np.sqrt(problem.diagonal @ moved**2))
-    error = (2 * compared.last + uncertain) / (1 - nearby)
+    margin = _margin(refined, norms, compared.status, mu) - uncertain
+    slips = slips_nearby(compliance, compared.status, mu)
+    near = _nearest(slips, refined, norms, 2 * compared.last + uncertain, margin)
+    if isinstance(near, float):
+        return f"{others}, nor others nearby ({near:.3g})"
+    error, reach = near
     around = max(float(np.hypot(compared.displacement, apart)), compared.force) + error
-    radius = _margin(refined, norms, compared.status, mu) - uncertain - around
+    radius = reach - around
     if not radius > around:
         return f"{others}, and {NO_MARGIN}"
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
 
 
-def _felt(compliance: ContactOperators) -> Mask:
-    """Return the rows (m, d) that move something."""
-    return np.asarray(compliance.W.diagonal().reshape(len(compliance.scale), -1) > 0)
+def _nearest(
+    slips: SlipsNearby | None, refined: _Refined, norms: _Norms, left: float, margin: float
+) -> tuple[float, float] | float:
+    """Return how far the only equilibrium in its states is at most, and how far no other is; else the constant nearby.
 
-
-def _acting(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:
-    """Return the rows (m, d) on which forces may act, and be felt, while every contact keeps its state."""
-    rows = _felt(compliance)
-    rows[:, 1:] &= (mu > 0)[:, None]
-    return np.asarray(rows & (status != OPEN)[:, None])
+    Parameters
+    ----------
+    slips : those of contacts that slip in these states, None where they have no compliance
+    refined, norms : the refined answer of the states, and the norms of forces on rows that act in them
+    left : what its refinement leaves, in the norm of the answers
+    margin : how far contacts are from other states
+    """
+    if slips is None:
+        return np.inf
+    nearby = slips.kappa * (1 + norms.allowance)
+    if nearby < 1:
+        return left / (1 - nearby), margin
+    slides = slips.slides
+    found = slips.settled(refined.normal[slides], refined.slip[slides], norms.allowance, margin)
+    if found is None:
+        return nearby
+    force = refined.friction[slides]
+    missed = slips.mu[:, None] * refined.normal[slides, None] * directions(refined.slip[slides]) - force
+    off = np.linalg.norm(missed, axis=1) + ROUNDED * np.linalg.norm(force, axis=1)
+    # What refinement leaves moves slips, which J^-1 (J - I) takes to y, and forces, which J^-1 does.
+    error = ((1 + 2 * found.inverse) * left + float(found.spread @ off)) / found.slack
+    return (error, found.radius) if error < found.radius else nearby
 
 
 def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: _Refined, mu: Vector) -> float:
@@ -241,45 +271,6 @@ def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: 
     held = np.vstack([moved[closed, 0], moved[sticks, 1:].reshape(-1, moved.shape[2]), tied])
     missed = np.concatenate([refined.gap[closed], refined.slip[sticks].ravel()])
     return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
-
-
-def _kappa_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> float:
-    """Return kappa for two answers with the same states, 0 in the plane; infinite where W has no inverse.
-
-    Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
-    slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
-    of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
-    """
-    m, d = len(mu), len(compliance.W) // len(mu)
-    closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
-    if d == 2 or not np.any(slides):
-        return 0.0  # a linear system, whose refinement has settled
-    place = np.arange(m * d).reshape(m, d)
-    acting = _acting(compliance, status, mu)
-    if not acting[slides].any(axis=1).all():
-        return np.inf
-    sticks = acting & (status == STICK)[:, None]
-    kept = np.concatenate([place[closed, 0], place[:, 1:][sticks[:, 1:]]])
-    along = place[slides, 1:].ravel()
-    joints = len(compliance.J)
-    whole = compliance.operator(np.concatenate([kept, along]), joints)
-    order = np.arange(len(whole))
-    slips = (order >= len(kept)) & (order < len(kept) + len(along))
-    try:
-        drawn = np.linalg.solve(whole[np.ix_(~slips, ~slips)], whole[np.ix_(~slips, slips)])
-        S = whole[np.ix_(slips, slips)] - whole[np.ix_(slips, ~slips)] @ drawn
-        S += np.diag(UNFELT * ~acting[slides, 1:].ravel())  # there e = 0, whatever it would cost
-        factor = np.linalg.cholesky((S + S.T) / 2)
-    except np.linalg.LinAlgError:
-        return np.inf
-    pushed = np.linalg.solve(factor, drawn[np.searchsorted(place[closed, 0], place[slides, 0])].T).T
-    slip = factor.reshape(len(pushed), d - 1, -1)
-    sizes = np.linalg.norm(slip, axis=(1, 2)), np.linalg.norm(pushed, axis=1)
-    weight = np.divide(*sizes, out=np.ones(len(pushed)), where=sizes[1] > 0)
-    own = mu[slides]
-    square = pushed.T @ ((own * weight)[:, None] * pushed)
-    square = square + np.einsum("i,iwp,iwq->pq", own / weight, slip, slip)
-    return float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2 if np.all(np.isfinite(square)) else np.inf
 
 
 def _refined(
@@ -431,14 +422,16 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         if skew and (norms is None or problem.dimension == 3):
             others = f"other equilibria are not excluded (kappa = {kappa:.3g})"
             return f"{others}, and delassus is not symmetric, by {problem.scaled_asymmetry:.2g}"
-        norms = norms if skew else _Norms.of(compliance, 0.0, _acting(compliance, status, mu))
+        norms = norms if skew else _Norms.of(compliance, 0.0, acting_rows(compliance, status, mu))
         if norms is None:
             return DEPENDENT
-        nearby = 0.0 if skew else _kappa_nearby(compliance, status, mu) * (1 + norms.allowance)
-        if not nearby < 1:
-            return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({nearby:.3g})"
-        error = (2 * last + refined.correction) / (1 - nearby)
-        scope, radius = LOCALLY, _margin(refined, norms, status, mu) - refined.correction - apart - error
+        slips = SlipsNearby.none(mu) if skew else slips_nearby(compliance, status, mu)
+        left, margin = 2 * last + refined.correction, _margin(refined, norms, status, mu) - refined.correction
+        near = _nearest(slips, refined, norms, left, margin)
+        if isinstance(near, float):
+            return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({near:.3g})"
+        error, reach = near
+        scope, radius = LOCALLY, reach - apart - error
         if not radius > apart + error:
             return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
     least_size = size - error if size > error else 1.0
@@ -450,7 +443,7 @@ def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[_
     """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
     if problem.contacts > MOST_CONTACTS:
         return None, np.inf
-    norms = _Norms.of(compliance, 0.0, _felt(compliance))
+    norms = _Norms.of(compliance, 0.0, felt_rows(compliance))
     if norms is None:
         return None, np.inf
     kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa

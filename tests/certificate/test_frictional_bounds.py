@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate import frictional_bounds
+from contactqp.certificate import critical_friction, frictional_bounds
 from tests.examples import truss
 
 Rational = list[Fraction]
@@ -207,6 +208,59 @@ def test_no_bound_is_below_the_distance_to_the_answer_in_space(floating: bool, p
             assert found.energy_error <= 1.01 * apart + 1e-14
             assert found.scope == "global" or apart * energy(K, truth[0]) < found.radius
     assert min(proven["local"], proven["global"] or least * floating) >= least, proven
+
+
+def test_slips_that_may_turn_each_other_are_proven_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By Newton and Kantorovich: of all slips here, also of those whose constant of monotonicity is not below one."""
+    known, seen = frictional_bounds.slips_nearby, []
+
+    def never_monotone(*given: Any) -> Any:
+        seen.append(known(*given))
+        return frictional_bounds.replace(seen[-1], kappa=np.inf) if seen[-1].slides.any() else seen[-1]
+
+    monkeypatch.setattr(frictional_bounds, "slips_nearby", never_monotone)
+    monkeypatch.setattr(frictional_bounds, "critical", lambda *_: SimpleNamespace(kappa=np.inf))
+    for floating in (False, True):
+        test_no_bound_is_below_the_distance_to_the_answer_in_space(floating, 30, 0)
+    assert sum(one.slides.any() for one in seen) >= 80
+    assert any(one.kappa >= 1 for one in seen)
+
+
+def law(y: np.ndarray, A: np.ndarray, P: np.ndarray, mu: np.ndarray, N: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return y + sum A_i' mu (N + P_i y) t_i, t_i the direction of s_i + A_i y: Coulomb's law but for a constant."""
+    slip = s + A @ y
+    return y + np.einsum("iwp,iw->p", A, (mu * (N + P @ y) / np.linalg.norm(slip, axis=1))[:, None] * slip)
+
+
+def test_a_ball_of_slips_has_one_answer_at_most() -> None:
+    """Newton's map contracts between any two points of the ball, and not in one sixteen times as large."""
+    rng, beyond, found = np.random.default_rng(3), 0, 0
+    for _ in range(40):
+        q = int(rng.integers(1, 4))
+        shape = rng.standard_normal((2 * q, 2 * q))
+        A = np.linalg.cholesky(shape @ shape.T + 0.1 * np.eye(2 * q)).reshape(q, 2, 2 * q)
+        P, mu, N = rng.standard_normal((q, 2 * q)), rng.uniform(0.1, 1.5, q), rng.uniform(0.5, 2.0, q)
+        s = rng.standard_normal((q, 2)) * 10 ** rng.uniform(-2, 1)
+
+        slips = critical_friction.SlipsNearby(np.ones(q, dtype=bool), mu, A, P, np.inf)
+        ball = slips.settled(N, s, 0.0, np.inf)
+        if ball is None:  # nearly singular
+            continue
+        found += 1
+        assert ball.radius > 1e-6 * np.min(np.linalg.norm(s, axis=1))
+        steps = 1e-4 * ball.radius * np.eye(2 * q)
+        data = A, P, mu, N, s
+        J = np.column_stack([(law(step, *data) - law(-step, *data)) / (2e-4 * ball.radius) for step in steps])
+        assert ball.inverse == pytest.approx(np.linalg.norm(np.linalg.inv(J), 2), rel=1e-4)
+        assert ball.slack >= 0.5
+        for far in (1.0, 16.0):
+            for _ in range(20):
+                y, z = (x / np.linalg.norm(x) * far * ball.radius for x in rng.standard_normal((2, 2 * q)))
+                kept = np.linalg.norm(y - z - np.linalg.solve(J, law(y, *data) - law(z, *data)))
+                assert far > 1 or kept <= 0.501 * np.linalg.norm(y - z)
+                beyond += far > 1 and kept > 0.501 * np.linalg.norm(y - z)
+    assert beyond > 20
+    assert found > 30
 
 
 def test_a_bound_that_were_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
