@@ -134,16 +134,20 @@ def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
     return weights
 
 
+def presses(state: ClosedState) -> bool:
+    """Return whether forces of contacts and ties are so large beside those that act that they may press in pairs."""
+    problem = state.problem
+    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
+    return state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0)))
+
+
 def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state that holds; where contacts and ties press against each other, with the least sum of forces.
+    """Return a state that holds, in which contacts and ties share what they carry with the least sum of forces.
 
     Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
     without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
     """
     problem, closed = state.problem, np.flatnonzero(state.closed)
-    acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
-    if not state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0))):
-        return state
     carried = carried_by_rows(problem, state.answer)
     size = float(np.max(abs(carried), initial=0.0)) or 1.0
     count, ties = len(closed), problem.ties

@@ -22,7 +22,7 @@ from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mos
 from contactqp.linalg.existence import refuse_sparse_conflict, refuse_sparse_drive
 from contactqp.linalg.interior_point import refuse_ray, remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
-from contactqp.linalg.least_norm import shift_to_least_norm, with_least_forces
+from contactqp.linalg.least_norm import presses, shift_to_least_norm, with_least_forces
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (
@@ -216,7 +216,8 @@ class SparseRun(Run):
         if self._state is None:
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
-        self._state = with_least_forces(self._state, self._effort)
+        if presses(self._state) and not unique_on(self._state).forces:
+            self._state = with_least_forces(self._state, self._effort)
         given = _candidate(self._state)
         remember(self._state, Answer(given.displacement, given.normal_force, None, given.tie_force))
         found = self._scaling.unscale(given)

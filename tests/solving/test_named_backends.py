@@ -9,9 +9,11 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.linalg import sparse_saddle
 from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.least_norm import presses
 from contactqp.linalg.schur import uncoupled
-from contactqp.linalg.sparse_saddle import REGULARISATIONS, Effort, solved_on
+from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, solved_on
 from contactqp.model.solution import Answer
+from contactqp.solving import sparse_run
 
 
 def degenerate(
@@ -142,3 +144,41 @@ def test_what_one_set_of_contacts_needs_on_the_diagonal_the_next_is_given_first(
     first = effort.factorisations
     assert solved_on(problem, np.arange(40) == 1, start, effort).solved
     assert effort.factorisations == first + 1
+
+
+def boundary_control(cells: int) -> cq.ContactProblem:
+    """Control Poisson's equation by the values at the border, which all come to their upper bound."""
+    h, nodes = 1.0 / cells, cells + 1
+    second = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(nodes, nodes))
+    one, line = sp.identity(nodes), np.linspace(0.0, 1.0, nodes)
+    x, y = (values.ravel() for values in np.meshgrid(line, line, indexing="ij"))
+    inside = (x > 0) & (x < 1) & (y > 0) & (y < 1)
+    equations = sp.csr_matrix(sp.kron(second, one) + sp.kron(one, second))[inside]
+    target = np.where(inside, 2.0 * h**2 * (x * (x - 1) + y * (y - 1)), 0.0)
+    return cq.ContactProblem.from_qp(
+        sp.diags(np.where(inside, h**2, 0.01 * h), format="csr"),
+        -target,
+        A=equations,
+        b=np.zeros(equations.shape[0]),
+        lb=np.where(inside, -0.4, -0.05),
+        ub=np.where(inside, 0.371, 0.3),
+    )
+
+
+def test_forces_that_are_unique_are_not_shared_anew_however_large_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Multipliers of the equations are thousands of times the load; a linear program over them took 12 s of 10 000."""
+    pressed: list[bool] = []
+
+    def noted(state: ClosedState) -> bool:
+        pressed.append(presses(state))
+        return pressed[-1]
+
+    def none(*_: object) -> None:
+        raise AssertionError("a linear program for forces that are unique")
+
+    monkeypatch.setattr(sparse_run, "presses", noted)
+    monkeypatch.setattr(sparse_run, "with_least_forces", none)
+    solution = cq.solve(boundary_control(60))
+    assert solution.certificate.proven
+    assert pressed == [True]
+    assert np.sum(solution.normal_force > 0) > 100
