@@ -527,8 +527,8 @@ def test_pardiso_is_switched_off_in_sparse_saddle_points_too(monkeypatch: pytest
 
 @pytest.mark.slow
 def test_slender_bodies_with_many_contacts_are_condensed_where_sparse_systems_know_too_few_digits() -> None:
-    """A cantilever of 700 elements between obstacles above and below every node: kappa(K) is some 1e13."""
-    n = 700
+    """A cantilever of 1000 elements between obstacles above and below every node: kappa(K) is some 1e14."""
+    n = 1000
     h = 1.0 / n
     element = np.array([
         [12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
