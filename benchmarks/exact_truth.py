@@ -15,7 +15,7 @@ from typing import Any
 
 import flint
 import numpy as np
-from flint import arb, arb_mat, fmpq_mat
+from flint import arb, arb_mat, fmpq, fmpq_mat
 
 from contactqp.linalg.equilibration import Scaling, equilibrated, mostly_bare
 from contactqp.linalg.rational import column, floats, matrix, number, solve_any, stack, take
@@ -156,8 +156,23 @@ class Truth:
             seen = self.condition < SEEN_UNTIED and not self.tiny[1]
             readings["force_error"] = (whole,) if seen else (*readings["force_error"], whole)
         sizes = _ratio(energy, scales[0]), _ratio(pushed, scales[1])
+        if tie_force is not None and 0 < len(tie_force) == self.reduced.data.A.nrows():  # one by one
+            readings["force_error"] += (max(self._of_ties_alone(tie_force), *readings["force_error"]),)
         # The rounding of K along rigid motions has the same size.
         return Errors(*sizes, readings, contact, rounding if self.projected else 0.0, rounding)
+
+    def _of_ties_alone(self, tie_force: np.ndarray) -> float:
+        """The largest error of a tie's force over the largest force, each by what it strains where it acts."""
+        data = self.reduced.data
+        softness = [1 / data.K[j, j] if data.K[j, j] > 0 else fmpq(0) for j in range(data.unknowns)]
+
+        def own(rows: fmpq_mat) -> np.ndarray:
+            squares = (sum(rows[i, j] ** 2 * softness[j] for j in range(rows.ncols())) for i in range(rows.nrows()))
+            return np.sqrt([number(square) for square in squares])
+
+        contacts, ties = own(data.E), own(data.A)
+        sizes = np.append(contacts * abs(floats(self.force)), ties * abs(self.tie_force))
+        return _ratio(float(np.max(ties * abs(tie_force - self.tie_force))), float(np.max(sizes)))
 
     def _errors_of_program(self, units: Scaling, du: fmpq_mat, dl: fmpq_mat, rounding: float) -> Errors:
         """The errors where K alone is no measure: a linear program's answer is right or wrong by its energy."""
