@@ -205,7 +205,7 @@ class LocalProblem(ReadOnly):
         own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
         largest = np.zeros((2, self.contacts))
         np.maximum.at(largest, (kind[own], entries.row[own] // d), abs(entries.data[own]))
-        return largest
+        return read_only(largest)
 
     @property
     def _own_compliance(self) -> Vector:

@@ -29,6 +29,7 @@ REFUSED = {
     "unstrained",
     "stack_free_to_slide",
     "held_by_ties",
+    "shared_with_ties",
     "summed_rows",
     "exactly_grazing",
     "duplicated_rows",
