@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.bricks import (
+    Array,
     Generator,
     blocks,
     chain,
@@ -97,21 +98,27 @@ def held_by_ties(rng: Generator) -> ContactProblem:
     return ContactProblem(K, f, E, gap, tie=A)
 
 
-@member(well_posed=True)
-def shared_with_ties(rng: Generator) -> ContactProblem:
-    """Contacts and ties whose rows depend on each other, around an answer, in units of 1e-7 to 1e7 of each unknown."""
+def answer_shared_with_ties(rng: Generator) -> tuple[Array, ...]:
+    """K, rows of contacts and ties that depend on each other, u, forces of contacts and ties: an answer of few bits."""
     n = int(rng.integers(2, 9))
     factor = rng.integers(-3, 4, (n + 2, n)).astype(float)
     K = np.diag(2.0 ** rng.integers(-6, 7, n)) if rng.random() < 0.5 else factor.T @ factor + np.eye(n)
     base = rng.integers(-2, 3, (int(rng.integers(1, min(n, 4) + 1)), n)).astype(float)
     E, A = (rng.integers(-2, 3, (int(rng.integers(1, 6)), len(base))) @ base for _ in range(2))
     E, A = E[np.any(E, axis=1)], A[np.any(A, axis=1)]
-    u, force = rng.integers(-8, 9, n) / 8.0, rng.integers(0, 17, len(E)) / 16.0 * (rng.random(len(E)) < 0.7)
+    force = np.where(rng.random(len(E)) < 0.7, rng.integers(0, 17, len(E)) / 16.0, 0.0)
     if not (np.any(force) and len(A)):
-        return shared_with_ties(rng)
+        return answer_shared_with_ties(rng)
+    return K, E, A, rng.integers(-8, 9, n) / 8.0, force, rng.integers(-16, 17, len(A)) / 16.0
+
+
+@member(well_posed=True)
+def shared_with_ties(rng: Generator) -> ContactProblem:
+    """Contacts and ties whose rows depend on each other, around an answer, in units of 1e-7 to 1e7 of each unknown."""
+    K, E, A, u, force, tie_force = answer_shared_with_ties(rng)
     gap = E @ u + (force == 0) * rng.integers(0, 9, len(E)) / 8.0
-    load = K @ u + E.T @ force + A.T @ (rng.integers(-16, 17, len(A)) / 16.0)
-    unit, row, tied = (4.0 ** rng.integers(-12, 13, count) for count in (n, len(E), len(A)))
+    load = K @ u + E.T @ force + A.T @ tie_force
+    unit, row, tied = (4.0 ** rng.integers(-12, 13, len(each)) for each in (u, force, tie_force))
     E, A, value = E / unit * row[:, None], A / unit * tied[:, None], A @ u * tied
     return ContactProblem(K / np.outer(unit, unit), load / unit, E, gap * row, tie=A, tie_value=value)
 

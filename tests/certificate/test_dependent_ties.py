@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from benchmarks.families_of_constraints import answer_shared_with_ties
 
 K = np.diag([2.0, 3.0, 5.0, 7.0])
 LOAD = np.array([1.0, -2.0, 0.5, 0.0])
@@ -108,20 +109,6 @@ def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
         cq.solve(membrane.replace(tie_value=[0.001, 0.001, 0.0041, 0.0]))
 
 
-def _sharing(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """K, rows of contacts and ties that depend on each other, u, forces of contacts and ties: of few bits."""
-    n = int(rng.integers(2, 9))
-    factor = rng.integers(-3, 4, (n + 2, n)).astype(float)
-    stiffness = np.diag(2.0 ** rng.integers(-6, 7, n)) if rng.random() < 0.5 else factor.T @ factor + np.eye(n)
-    base = rng.integers(-2, 3, (int(rng.integers(1, min(n, 4) + 1)), n)).astype(float)
-    contacts, ties = (rng.integers(-2, 3, (int(rng.integers(1, 6)), len(base))) @ base for _ in range(2))
-    contacts, ties = contacts[np.any(contacts, axis=1)], ties[np.any(ties, axis=1)]
-    force = np.where(rng.random(len(contacts)) < 0.7, rng.integers(0, 17, len(contacts)) / 16.0, 0.0)
-    if not (np.any(force) and len(ties)):
-        return _sharing(rng)
-    return stiffness, contacts, ties, rng.integers(-8, 9, n) / 8.0, force, rng.integers(-16, 17, len(ties)) / 16.0
-
-
 @pytest.mark.parametrize("seed", range(24))
 def test_bounds_of_shared_forces_hold_in_any_units(seed: int) -> None:
     """Of the forces of contacts and ties, |E'dl + A'dnu| in K^-1 over that of the answer is no larger than the bound.
@@ -131,7 +118,7 @@ def test_bounds_of_shared_forces_hold_in_any_units(seed: int) -> None:
     left as it was.
     """
     rng = np.random.default_rng([28, seed])
-    stiffness, contacts, ties, u, force, tie_force = _sharing(rng)
+    stiffness, contacts, ties, u, force, tie_force = answer_shared_with_ties(rng)
     unknown, row, tied = (4.0 ** rng.integers(-12, 13, len(each)) for each in (u, force, tie_force))
     problem = cq.ContactProblem(
         stiffness / np.outer(unknown, unknown),
