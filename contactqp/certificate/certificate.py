@@ -22,6 +22,7 @@ from contactqp.certificate.bounds import (
     no_bounds,
 )
 from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
+from contactqp.certificate.critical_friction import condensed_to_prove, too_many
 from contactqp.certificate.energy_bounds import bounds_by_energy, energy_bounds
 from contactqp.certificate.figures import kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
@@ -69,7 +70,6 @@ HOLDS = 1e-10
 NOTHING = 1e-13
 # Changes of the forces that are less than this part of them are as good as none.
 WORTH_SAYING = 1e-9
-AMONG_CANDIDATES = "friction: of many contacts only those that may close are condensed"
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
@@ -105,7 +105,7 @@ def compute_certificate(
     error_tolerance : largest bound on the relative error that passes
     factorization : Condensation, optional
         Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
-    prove_friction : whether bounds are looked for with friction, too, which costs about a tenth of a solve
+    prove_friction : whether bounds are looked for with friction, too, which costs up to a third of a solve
 
     Raises
     ------
@@ -230,7 +230,7 @@ def _measured(
         systems = Systems.CONDENSED if at_once else systems_of(problem)
         candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
         if candidates is not None and problem.frictional:
-            reason = AMONG_CANDIDATES if prove_friction else FRICTION_HAS_NONE
+            reason = f"friction: {too_many(problem)}" if prove_friction else FRICTION_HAS_NONE
             residual, bounds, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:
@@ -240,15 +240,17 @@ def _measured(
         found = violations(problem, answer, residual, ROUNDING_OF_ANSWERS * tolerance, rigid)
         out_of_balance, law = balance(problem, answer, rigid, found.nothing.force) if rigid.count else 0.0, None
         if problem.frictional:
-            law = coulomb_residual(problem, answer, found)
+            law, reason = coulomb_residual(problem, answer, found), NOT_CONDENSED
+            if sparse := prove_friction and systems is Systems.SPARSE:
+                condensation, reason = condensed_to_prove(problem)
             others = uniqueness(problem, answer, found, condensation, tolerance)
             if state is None:
-                state = state_verdict(problem, answer, found, condensation, allowed)
+                state = state_verdict(problem, answer, found, None if sparse else condensation, allowed)
                 remember_verdict(problem, answer, allowed, state)
             if prove_friction and condensation is not None and state.compared is not None:
                 bounds = frictional_bounds(problem, condensation, answer, state.compared)
             elif prove_friction and candidates is None:
-                bounds = no_bounds(NOT_CONDENSED if condensation is None else NOT_COMPARED)
+                bounds = no_bounds(reason if condensation is None else NOT_COMPARED)
             bounds = bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
         state = state or StateVerdict(bounds.basis)
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size

@@ -14,12 +14,13 @@ of all combinations of open, stick and slip have one sign. For one contact that 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, counted
-from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.condensation import Condensation, condense, touched_unknowns
 from contactqp.linalg.delassus import ContactCompliance, ContactOperators, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import ratio
@@ -45,7 +46,7 @@ HALVINGS = 50
 MOST_GROWTH = 8.0
 # Singular values of this part of the largest are zero.
 SINGULAR_SYSTEM = 1e-11
-
+WITHOUT_STIFFNESS = "some unknowns have no stiffness"
 
 # What `CriticalFriction.examined` calls the bound that holds of any number of contacts.
 KAPPA = "kappa"
@@ -159,13 +160,27 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
         return critical(problem, condensation)
 
 
-def too_many(problem: ContactProblem, condensation: Condensation) -> str | None:
-    """Return the reason why a problem is too large for dense operators of all contacts, or None."""
+def too_many(problem: ContactProblem, condensation: Condensation | None = None) -> str | None:
+    """Return the reason why a problem is too large for dense operators of all contacts, or None.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : Condensation or None, whose unknowns count; without it those that contacts and ties touch do
+    """
     if problem.contacts > MOST_CONTACTS:
         return f"{counted('contact', problem.contacts)}, at most {MOST_CONTACTS} are examined"
-    if len(condensation.retained) > MOST_UNKNOWNS:
-        return f"{counted('contact unknown', len(condensation.retained))}, at most {MOST_UNKNOWNS} are examined"
+    unknowns = len(touched_unknowns(problem) if condensation is None else condensation.retained)
+    if unknowns > MOST_UNKNOWNS:
+        return f"{counted('contact unknown', unknowns)}, at most {MOST_UNKNOWNS} are examined"
     return None
+
+
+def condensed_to_prove(problem: ContactProblem) -> tuple[Condensation | None, str]:
+    """Return the condensation that bounds with friction take where sparse systems cost less, or why there is none."""
+    if (reason := too_many(problem)) is None and not problem.diagonal.all():
+        reason = WITHOUT_STIFFNESS
+    return (condense(problem), "") if reason is None else (None, f"friction: {reason}")
 
 
 def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFriction:
@@ -230,7 +245,7 @@ def _kappa(blocks: Array, mu: Vector) -> float:
         return np.inf
     if not len(frictional):
         return 0.0  # NumPy before 2.3 has no norm of what is empty
-    half = np.linalg.solve(factor, np.eye(len(W)))
+    half = inverse_of_lower(factor)
     normal = (half.T @ half)[np.ix_(frictional, frictional)]  # S^-1
     tangent = W[m:, m:]
     own = np.zeros(felt.shape)
@@ -241,7 +256,15 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     scaled = [M * (w[:, None] * w) for M, w in ((normal, weight), (tangent, other))]
     if not all(np.all(np.isfinite(one)) for one in scaled):
         return np.inf  # compliances so far apart that an inverse leaves the range of floats
-    return float(0.5 * np.sqrt(np.prod([np.linalg.norm(one, 2) for one in scaled])))
+    return float(0.5 * np.sqrt(np.prod([np.linalg.eigvalsh(one)[-1] for one in scaled])))
+
+
+def inverse_of_lower(factor: Any) -> Array:
+    """Return the inverse of a lower triangular matrix (p, p), not finite where a pivot is zero."""
+    from scipy.linalg.lapack import dtrtri
+
+    inverse, failed = dtrtri(factor, lower=1) if len(factor) else (factor.copy(), 0)
+    return np.asarray(np.full_like(factor, np.nan) if failed else inverse)
 
 
 def combinations(mu: Vector) -> Status:

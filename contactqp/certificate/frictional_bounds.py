@@ -56,10 +56,12 @@ from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
 from contactqp.certificate.critical_friction import (
     MOST_CONTACTS,
     MOST_UNKNOWNS,
+    WITHOUT_STIFFNESS,
     SlipsNearby,
     acting_rows,
     critical,
     felt_rows,
+    inverse_of_lower,
     of_operator,
     slips_nearby,
     too_many,
@@ -91,7 +93,6 @@ SYMMETRIC = 1e-15
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
 UNMET = 1e-22
 FLOATS = "a body is held by contacts alone"
-WITHOUT_STIFFNESS = "some unknowns have no stiffness"
 DEPENDENT = "contact rows depend on one another, or nearly: compliance has no inverse"
 NO_MARGIN = "a contact is within rounding of another state"
 
@@ -125,7 +126,7 @@ class _Norms:
         pivots = np.diag(factor) ** 2 / np.diag(operator)
         rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
         allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
-        half = np.linalg.solve(factor, np.eye(len(factor)))
+        half = inverse_of_lower(factor)
         if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
             return None
         inverse = np.zeros((contacts * d, contacts * d))

@@ -281,10 +281,9 @@ def uniqueness(
     """
     if not problem.frictional or not problem.contacts:
         return Uniqueness()
-    reason = "the bodies are not condensed onto their contacts"
-    if condensation is not None:
-        reason = too_many(problem, condensation) or ""
-    if condensation is None or reason:
+    reason = too_many(problem, condensation)
+    if condensation is None or reason is not None:
+        reason = reason or "the bodies are not condensed onto their contacts"
         return Uniqueness((UNKNOWN,), (f"uniqueness was not examined: {reason}",))
     state = _State(problem, answer, found, tolerance)
     constants = critical(problem, condensation)

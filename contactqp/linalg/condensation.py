@@ -90,7 +90,7 @@ class Condensation:
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         self._sparse = problem.stiffness_rows
         self._diagonal = problem.diagonal
-        touched = _touched_unknowns(problem)
+        touched = touched_unknowns(problem)
         self.unknown_scale = unknown_scale(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
@@ -494,6 +494,7 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
     return stated_motions(problem.stiffness_rows, problem.stiffness_sizes, problem.near_null_space)
 
 
-def _touched_unknowns(problem: ContactProblem) -> Indices:
+def touched_unknowns(problem: ContactProblem) -> Indices:
+    """Return the unknowns that contacts, their tangents and ties touch."""
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
     return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)

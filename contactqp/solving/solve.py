@@ -119,7 +119,8 @@ def solve(
     condense : bool or "auto"
         Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is
         smaller, and stays with sparse systems of all unknowns where constraints are so many, or K so far from seeing
-        everything, that these are predicted to cost less. False makes "active-set" stay with these.
+        everything, that these are predicted to cost less. True condenses there, too, with and without friction. False
+        makes "active-set" stay with sparse systems.
     polish : bool
         Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
         set corrected twice. `solution.raw` is the answer before it.
@@ -443,10 +444,11 @@ class RunRule:
 
 
 def _run_friction(
-    problem: ContactProblem, method: Method, settings: Settings, systems: Systems, _: Any, algorithm: str | None
+    problem: ContactProblem, method: Method, settings: Settings, systems: Systems, condense: Any, algorithm: str | None
 ) -> Run:
     from contactqp.solving.friction_runs import run_friction
 
+    systems = Systems.CONDENSED if condense is True and systems is Systems.SPARSE else systems
     return run_friction(problem, method, settings, systems, algorithm)
 
 

@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from benchmarks.friction_bounds import below_the_distance, block, fresh
+from benchmarks.friction_bounds import judged as certificate_of_printed
 from contactqp.certificate import critical_friction, frictional_bounds
+from contactqp.elements.shapes import box, rectangle
+from contactqp.linalg.iteration import Systems, systems_of
 from tests.examples import truss
 
 Rational = list[Fraction]
@@ -396,3 +400,60 @@ def test_the_constant_of_the_theorem_is_kappa_and_not_the_ratio_of_the_coefficie
     found = cq.critical_friction(cq.run(cq.load_scene("truss_friction"))[-1].problem)
     assert (found.kappa, found.contraction) == (pytest.approx(0.171575, rel=1e-5), pytest.approx(0.0345289, rel=1e-5))
     assert found.unique
+
+
+def by_sparse_systems(problem: cq.ContactProblem) -> cq.ContactProblem:
+    """The problem with a new stiffness, as if its contacts were so many that sparse systems cost less."""
+    again = fresh(problem)
+    again._computed.constraints_are_many[True] = True
+    assert systems_of(again) is Systems.SPARSE
+    return again
+
+
+@pytest.mark.parametrize(
+    ("model", "tied"), [("plane-strain", False), ("plane-strain", True), ("3d", False), ("3d", True)]
+)
+def test_rough_contacts_are_proven_whatever_systems_solve_them(model: str, tied: bool) -> None:
+    """A block that supports or ties hold: where sparse systems solve it, its bounds condense it."""
+    mesh = rectangle(2.0, 0.5, (23, 4)) if model == "plane-strain" else box((1.0, 1.0, 0.3), (4, 4, 2))
+    problem = block(mesh, model, 0.2, tied)
+    again = by_sparse_systems if model == "plane-strain" and not tied else fresh
+    solution = cq.solve(again(problem))
+    found = certificate_of_printed(again(problem), solution)
+    assert (found.passed, found.proven, found.scope, found.reasons) == (True, True, "global", ())
+    printed = certificate_of_printed(again(problem), solution, 9)
+    assert (printed.passed, printed.proven, below_the_distance(solution, printed)) == (True, True, 0)
+    assert found.force_error < 1e-12 < 1e-10 < printed.force_error < 1e-7
+    forged = solution.normal_force.copy()
+    forged[np.argmax(forged)] *= 1.001
+    parts = solution.displacement, forged, solution.friction_force, solution.tie_force
+    wrong = cq.certify(again(problem), *parts)
+    assert not wrong.passed
+    assert not wrong.proven or max(wrong.force_bound) >= 1e-3 * max(solution.normal_force)
+
+
+def test_two_hundred_contacts_are_proven_and_condensed_where_that_is_asked_for() -> None:
+    problem = block(rectangle(2.0, 0.5, (199, 8)), "plane-strain", 0.2, tied=False)
+    assert systems_of(problem) is Systems.SPARSE
+    sparse, condensed = cq.solve(problem), cq.solve(fresh(problem), condense=True)
+    assert (sparse.work.retained, condensed.work.retained) == (3200, 400)
+    assert np.allclose(sparse.normal_force, condensed.normal_force, rtol=1e-12, atol=1e-15)
+    found = certificate_of_printed(problem, sparse)
+    assert (found.proven, found.scope) == (True, "local")
+
+
+def test_beyond_the_stated_size_the_reason_is_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 23)
+    monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 23)
+    plane = by_sparse_systems(block(rectangle(2.0, 0.5, (23, 4)), "plane-strain", 0.2, tied=False))
+    space = block(box((1.0, 1.0, 0.3), (5, 3, 2)), "3d", 0.2, tied=False)
+    assert systems_of(space) is Systems.SUBSET
+    for problem in (plane, space):
+        found = certificate_of_printed(problem, cq.solve(problem))
+        assert (found.passed, found.proven) == (True, False)
+        assert found.reasons[0] == "energy_error: friction: 24 contacts, at most 23 are examined"
+        assert "uniqueness was not examined: 24 contacts, at most 23 are examined" in found.notes
+    monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 24)
+    monkeypatch.setattr(critical_friction, "MOST_UNKNOWNS", 47)
+    found = certificate_of_printed(plane, cq.solve(plane))
+    assert found.reasons[0] == "energy_error: friction: 48 contact unknowns, at most 47 are examined"
