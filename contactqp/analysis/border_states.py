@@ -30,9 +30,10 @@ from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.friction_states import friction_bound, refined_in
+from contactqp.linalg.measures import lengths
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

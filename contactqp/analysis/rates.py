@@ -60,9 +60,10 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
+from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
 from contactqp.model.arrays import Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve

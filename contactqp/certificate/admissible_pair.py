@@ -32,7 +32,6 @@ from contactqp.linalg.measures import (
     lengths_that_meet,
     of_rows,
     outer_forces,
-    without_rigid_part,
 )
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import OnSet
@@ -231,7 +230,7 @@ def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet,
     length : (m,) array [length], the lengths that meet at the contacts
     """
     gap, force = on_set.gaps, np.maximum(on_set.doubles.normal_force, 0.0)
-    moved = without_rigid_part(problem, on_set.doubles.displacement, condensation.rigid)
+    moved = condensation.rigid.without_rigid_part(on_set.doubles.displacement, problem.diagonal)
     whole = intrinsic_size(problem, on_set.doubles, moved)
     length = np.maximum(length, of_rows(problem, problem.normal, whole))
     pushing = np.flatnonzero((force > 0) & np.isfinite(length))

@@ -25,7 +25,7 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import bodies, outer_forces, rigid_part, untouched
+from contactqp.linalg.measures import bodies, outer_forces, untouched
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -145,7 +145,7 @@ def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
     """Return the forces (n,) that K, being rounded, makes of the rigid part of a displacement."""
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
     forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
-    return np.asarray(forces @ rigid_part(problem, displacement, condensation.rigid))
+    return np.asarray(forces @ condensation.rigid.coordinates(displacement, problem.diagonal))
 
 
 def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: Vector | None = None) -> float:

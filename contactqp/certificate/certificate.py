@@ -39,7 +39,7 @@ from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals, residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
-from contactqp.linalg.measures import own_compliance, ratio
+from contactqp.linalg.measures import lengths, own_compliance, ratio
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.arrays import (
     CERTIFY,
@@ -52,7 +52,6 @@ from contactqp.model.arrays import (
     own_floating_point,
     stage,
 )
-from contactqp.model.coulomb import lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations

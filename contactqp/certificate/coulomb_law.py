@@ -5,9 +5,11 @@ on the body and u = (g - E_N u, E_T u - slip_origin). The law is
 
     n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
 
-(De Saxce and Feng 1998; `contactqp.model.coulomb`). With rho_i = phi_i / L_i, phi_i the larger of the forces that
-meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| / phi_i has no
-dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's rows.
+with the projection P_K onto the cone K = {|r_T| <= mu r_N}: with De Saxce's velocity u + mu |u_T| e_N the law is that
+K* contains it, K contains r, and the two are orthogonal (De Saxce and Feng 1998). With rho_i = phi_i / L_i, phi_i the
+larger of the forces that meet along the contact's normal and its tangent and L_i the larger of the lengths that meet
+there, |n_i| / phi_i has no dimension and survives a change of units, rescaling of any unknown and common scaling of the
+contact's rows.
 
 Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
 slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
@@ -22,9 +24,16 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
+from contactqp.linalg.measures import (
+    HELD_BY_DOUBLES,
+    beyond,
+    directions,
+    lengths,
+    ratio,
+    reciprocal,
+    row_sizes,
+)
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import Vectors, directions, lengths, natural_map
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing, Violations
 
@@ -119,6 +128,8 @@ def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none:
     meeting : (n,) array [force], F_j, what meets at each unknown
     none : (n,) array [force], up to which a force counts as zero
     """
+    if not force.any():
+        return np.zeros(entries.contacts)
     acting = beyond(abs(entries.forces(force)), none[entries.unknown])
     return entries.largest(ratio(acting, meeting[entries.unknown])[None])
 
@@ -181,8 +192,7 @@ def coulomb_data(problem: ContactProblem, answer: Answer, F: Vector, none: Vecto
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
-    moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
-    rounding = rounded_slips(moved, problem.slip_origin)
+    rounding = HELD_BY_DOUBLES * lengths_across(problem, answer.displacement)
     return CoulombData(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 
@@ -228,10 +238,9 @@ def friction_figures(
     """
     force = answer.friction_force
     slip = slips(coulomb.slip, none)
-    size = lengths(force)
-    bound = coulomb.friction * np.maximum(answer.normal_force, 0.0)
-    excess = np.maximum(size - bound, 0.0)[:, None] * directions(force)
     moved = lengths(slip)
+    bound = coulomb.friction * np.maximum(answer.normal_force, 0.0)
+    excess = np.maximum(lengths(force) - bound, 0.0)[:, None] * directions(force)
     part = np.divide(coulomb.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
     turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
     off = force - bound[:, None] * directions(slip)
@@ -242,8 +251,8 @@ def friction_figures(
 
 def slips(slip: Array, none: Nothing) -> Array:
     """Return slips (m, d-1), zero at contacts where they count as none."""
-    slipped = beyond(lengths(slip), lengths(none.tangent.reshape(slip.shape)))
-    return np.asarray(np.where((slipped == 0)[:, None], 0.0, slip))
+    least = lengths(none.tangent.reshape(slip.shape))
+    return np.asarray(np.where(((lengths(slip) <= least) & np.isfinite(least))[:, None], 0.0, slip))
 
 
 # The other figures imply this one up to this factor.
@@ -270,7 +279,7 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
 def law_residual(
     answer: Any,
     found: Violations,
-    sliding: tuple[Vectors, Vector],
+    sliding: tuple[Array, Vector],
     unit: tuple[Vector, Vector, Mask],
     nothing: Vector,
 ) -> Vector:
@@ -285,15 +294,14 @@ def law_residual(
     nothing : (m,) array, `least_force`: the contact forces up to which there is none
     """
     (slip, friction), (along, across, felt), least = sliding, unit, nothing
-    phi = np.maximum(along, np.where(felt, across, 0.0))
-    per_force = reciprocal(phi)
-    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
-    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
+    gap = np.where(found.gap_measure > 0, found.gap, 0.0)
+    L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
     # Bodies that move rigidly meet at no length but the gap and the slip themselves, beside which forces would drown.
     L = np.maximum(L, np.maximum(abs(gap), lengths(slip)))
     given = answer.friction_force
     given = np.zeros_like(slip) if given is None else np.where(felt[:, None], given, 0.0)
+    per_force = reciprocal(np.maximum(along, np.where(felt, across, 0.0)))  # 1 / phi
     force = np.column_stack([answer.normal_force, -given]) * per_force[:, None]
     velocity = np.column_stack([gap, slip]) * reciprocal(L)[:, None]
     mu = np.where(felt, friction, 0.0)
@@ -340,3 +348,69 @@ def _tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector,
     largest = (own[0] + own[1]) / 2 + np.hypot((own[0] - own[1]) / 2, shared)
     smallest = np.divide(product * sine, largest, out=np.zeros_like(product), where=felt)
     return np.where(meets, unit * np.sqrt(count) * reciprocal(np.sqrt(smallest)), 0.0), felt
+
+
+def onto_cone(vectors: Array, friction: Vector) -> Array:
+    """Return the nearest points (m, d) of the cones K with coefficients `friction` (m,)."""
+    normal, tangent = vectors[:, 0], vectors[:, 1:]
+    size = lengths(tangent)
+    factor = (friction * size + normal) / (1.0 + friction**2)
+    beyond = np.column_stack([factor, (friction * factor)[:, None] * directions(tangent)])
+    projected = np.where((size <= friction * normal)[:, None], vectors, beyond)
+    return np.where((friction * size <= -normal)[:, None], 0.0, projected)
+
+
+def onto_discs(vectors: Array, radius: Vector) -> Array:
+    """Return the nearest points (m, d-1) of discs around zero with these radii (m,)."""
+    size = lengths(vectors)
+    return np.where((size <= radius)[:, None], vectors, radius[:, None] * directions(vectors))
+
+
+def de_saxce(velocity: Array, friction: Vector) -> Array:
+    """Return the velocities u + mu |u_T| e_N (m, d), with which Coulomb's law is a normality rule."""
+    shifted = velocity.copy()
+    shifted[:, 0] += friction * lengths(velocity[:, 1:])
+    return shifted
+
+
+# A friction force within this part of mu r_N, either way, is mu r_N: doubles come no nearer.
+ON_CONE = 4 * float(np.finfo(float).eps)
+
+
+def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
+    """Return n = r - P_K(r - v), v = u + mu |u_T| e_N (m, d), which is zero exactly where the law holds.
+
+    It is computed from velocities and the distance of r from the cone, never as a difference of forces or of mu |u_T|,
+    beside which velocities would be lost where redundant contacts press on each other or mu is large. In K n is v, in
+    its polar cone r. Outside, with the direction t of r_T - u_T and e = |r_T| - mu r_N + |r_T - u_T| - |r_T| - |u_T|,
+
+        n_N = (u_N - mu e) / (1 + mu^2),    n_T = u_T + |u_T| t + (e + mu u_N) t / (1 + mu^2).
+    """
+    slip, slid, step = velocity[:, 1:], lengths(velocity[:, 1:]), velocity.copy()
+    step[:, 0] += friction * slid
+    moved = force - step
+    given, size, t = lengths(force[:, 1:]), lengths(moved[:, 1:]), directions(moved[:, 1:])
+    bound = friction * force[:, 0]
+    excess = np.where(abs(given - bound) <= ON_CONE * (given + abs(bound)), 0.0, given - bound)
+    # |r_T - u_T| - |r_T| = -u_T'(2 r_T - u_T) / (|r_T - u_T| + |r_T|)
+    whole = (size + given)[:, None]
+    both = np.divide(moved[:, 1:] + force[:, 1:], whole, out=np.zeros_like(slip), where=whole > 0)
+    excess = excess - np.sum(both * slip, axis=1) - slid
+    root = np.hypot(1.0, friction)
+    across, along = 1.0 / root, friction / root
+    # Without friction the cone is a half line, and -0 is no side of it.
+    inside = (across * excess + along * velocity[:, 0] + root * slid <= 0) & (moved[:, 0] >= 0)
+    normal = across * (across * velocity[:, 0] - along * excess)
+    tangential = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
+    missed = np.where((friction * size <= -moved[:, 0])[:, None], force, np.column_stack([normal, tangential]))
+    return np.where(inside[:, None], step, missed)
+
+
+def distance_from_law(force: Array, velocity: Array, friction: Vector) -> Vector:
+    """Return |n| of each contact, or |u_T| + |n| without slip where that is less (m,).
+
+    With its velocities changed by u_T a contact sticks: a large mu makes much of a slip that is rounding.
+    """
+    sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
+    missed, missed_sticking = (lengths(natural_map(force, each, friction)) for each in (velocity, sticking))
+    return np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))

@@ -48,10 +48,8 @@ from contactqp.linalg.measures import (
     outer_forces,
     parts,
     ratio,
-    rigid_part,
     row_sizes,
     scale_through_rows,
-    without_rigid_part,
 )
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import Mask, Vector
@@ -106,11 +104,11 @@ def violations(
     elastic, size, sizes, hardly = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
     none, F, coulomb = nothing(problem, answer, elastic, size, rounding), sizes.meeting, None
     least = none.force if none.contact_force is None else none.contact_force
+    felt = force_measure(problem.normal, answer.normal_force, F, least, row_sizes(problem, problem.normal))
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
     if hardly is not None:
         none = slips_that_are_nothing(none, hardly)
         coulomb = coulomb_data(problem, answer, F, none.force, hardly)
-    felt = force_measure(problem.normal, answer.normal_force, F, least, row_sizes(problem, problem.normal))
     return figures(answer, missed, sizes, none, felt, coulomb)
 
 
@@ -169,6 +167,7 @@ def _sizes(
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
+    hardly = None if problem.tangent is None else hardly_felt(*compliances(problem))
     with_friction = problem.tangent is not None and problem.friction is not None
     sizes = Sizes(
         meeting=F,
@@ -178,12 +177,14 @@ def _sizes(
         tie_lengths=tie_lengths,
         intrinsic_size=float(size.max(initial=0.0)),
     )
-    return elastic, size, sizes, None if problem.tangent is None else hardly_felt(*compliances(problem))
+    return elastic, size, sizes, hardly
 
 
 def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:
     """Return the displacement without its rigid part, the intrinsic size S and the forces F that meet, all (n,)."""
-    elastic = answer.displacement if rigid is None else without_rigid_part(problem, answer.displacement, rigid)
+    elastic = answer.displacement
+    if rigid is not None and rigid.count:
+        elastic = rigid.without_rigid_part(elastic, problem.diagonal)
     size = intrinsic_size(problem, answer, elastic)
     inner = problem.stiffness_sizes @ abs(elastic)
     acting, F = problem.load_size + inner, inner + outer_forces(problem, answer)
@@ -327,7 +328,7 @@ def energy_norms(
     if not condensation.rigid.count:
         return norm, norm + uncertain
     motions = condensation.rigid.motions
-    moved = motions @ rigid_part(problem, displacement.double(), condensation.rigid)
+    moved = motions @ condensation.rigid.coordinates(displacement.double(), problem.diagonal)
     strained, beyond = energy_norm(problem, displacement - moved)
     return min(norm, strained), max(norm + uncertain, strained + beyond)
 

@@ -53,6 +53,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
+from contactqp.certificate.coulomb_law import onto_discs
 from contactqp.certificate.critical_friction import (
     MOST_CONTACTS,
     MOST_UNKNOWNS,
@@ -77,9 +78,9 @@ from contactqp.linalg.delassus import (
     refined_forces,
 )
 from contactqp.linalg.extended import EPS, extend, extended_rows
-from contactqp.linalg.measures import own_compliance
+from contactqp.linalg.measures import directions, lengths, own_compliance
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths, onto_discs
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer

@@ -31,24 +31,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contactqp.certificate.coulomb_law import distance_from_law, natural_map
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
-from contactqp.model.coulomb import (
-    OPEN,
-    SLIP_BACK,
-    SLIP_ON,
-    STICK,
-    Status,
-    directions,
-    distance_from_law,
-    lengths,
-    natural_map,
-)
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array

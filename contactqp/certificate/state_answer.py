@@ -55,10 +55,10 @@ from contactqp.linalg.delassus import condensed_frictional_rows, contact_complia
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
-from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, lengths, row_sizes
+from contactqp.linalg.measures import directions as directions_of
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
-from contactqp.model.coulomb import directions as directions_of
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import STATE, Answer, Violations
 

@@ -34,8 +34,9 @@ from contactqp.certificate.critical_friction import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, STICK, directions, lengths
+from contactqp.model.coulomb import OPEN, STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Violations
 

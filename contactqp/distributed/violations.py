@@ -35,12 +35,12 @@ from contactqp.linalg.measures import (
     force_measure,
     imposed,
     in_energy,
+    lengths,
     reciprocal,
     rows_and_limits,
     sizes_of,
 )
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import lengths
 from contactqp.model.solution import Answer, Nothing, Violations
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from contactqp.elements.obstacle import points_near
 from contactqp.elements.scalars import positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem, shown
+from contactqp.linalg.measures import lengths
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, computes
-from contactqp.model.coulomb import lengths
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9

@@ -35,9 +35,10 @@ import scipy.sparse as sp
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
 from contactqp.linalg.extended import Extended, SparseRows, extend
+from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 

@@ -155,6 +155,16 @@ class RigidMotions:
         """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
         return orthonormal(self.motions)
 
+    def coordinates(self, displacement: Vector, diagonal: Vector) -> Vector:
+        """Return the rigid part of a displacement (n,) by coordinates (r,), by least squares of sqrt(K_jj) u_j."""
+        weight = np.sqrt(diagonal)
+        found, *_ = np.linalg.lstsq(weight[:, None] * self.motions, weight * displacement, rcond=None)
+        return np.asarray(found)
+
+    def without_rigid_part(self, displacement: Vector, diagonal: Vector) -> Vector:
+        """Return a displacement (n,) without its rigid part; unknowns without stiffness keep theirs."""
+        return displacement - self.motions @ self.coordinates(displacement, diagonal) if self.count else displacement
+
     def work_to_add(self, motions: Array, bodies: Indices, load: Vector, reduced: Vector) -> Vector:
         """Return what to add to a condensed load so that its work on rigid motions is that of the load: (p,), scaled.
 

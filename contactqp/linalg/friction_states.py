@@ -36,10 +36,11 @@ from contactqp.linalg.extended import (
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
 from contactqp.linalg.influence import elastic_after
+from contactqp.linalg.measures import directions as directions_of
+from contactqp.linalg.measures import lengths
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Mask, Vector, refuse_late, zero_beneath
-from contactqp.model.coulomb import OPEN, STICK, Status, lengths
-from contactqp.model.coulomb import directions as directions_of
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

@@ -22,9 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.linalg.measures import ratio, reciprocal
+from contactqp.linalg.measures import directions, lengths, ratio, reciprocal
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, STICK, Status, directions, lengths
+from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.solution import Answer
 
 

@@ -39,7 +39,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, connected_parts
@@ -109,21 +108,6 @@ HELD_BY_DOUBLES = float(np.finfo(float).eps)
 # A load on an unknown that neither stiffness nor a row touches is rounding up to this part of the largest load: such as
 # the component of a force across a bar, F sin(pi).
 ROUNDING_OF_LOADS = 64 * float(np.finfo(float).eps)
-
-
-def without_rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:
-    """Return the displacement (n,) without its rigid part, found by least squares of sqrt(K_jj) u_j.
-
-    Where nothing is stiff there is no rigid part either: unknowns without stiffness keep their displacement.
-    """
-    return displacement - rigid.motions @ rigid_part(problem, displacement, rigid) if rigid.count else displacement
-
-
-def rigid_part(problem: ContactProblem, displacement: Vector, rigid: RigidMotions) -> Vector:
-    """Return the coordinates (r,) of the rigid part of a displacement in the basis of rigid motions."""
-    weight = np.sqrt(problem.diagonal)
-    coordinates, *_ = np.linalg.lstsq(weight[:, None] * rigid.motions, weight * displacement, rcond=None)
-    return np.asarray(coordinates)
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:
@@ -456,6 +440,21 @@ def largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
 def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
     """Return |E_i D|^2 (r,), D = 1/sqrt(K_jj): the compliance of row i, all other unknowns held [length / force]."""
     return row_sizes(problem, rows).compliance
+
+
+def lengths(vectors: Array) -> Vector:
+    """Return |v| of every row of vectors (m, d), infinite where an entry is, and correct where squares exceed doubles.
+
+    >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
+    ['5e+200', '5e-200']
+    """
+    return np.asarray(np.hypot.reduce(vectors, axis=-1, initial=0.0))
+
+
+def directions(vectors: Array) -> Array:
+    """Return v/|v| of every row, and zero where v is zero."""
+    size = lengths(vectors)[:, None]
+    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
 
 
 def ratio(size: Vector, scale: Vector) -> Vector:

@@ -22,7 +22,6 @@ from contactqp.linalg.measures import (
     lengths_that_meet,
     own_compliance,
     row_sizes,
-    without_rigid_part,
 )
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
@@ -233,7 +232,7 @@ class _CorrectionSize:
             return False
         if not self._rigid.count:
             return True
-        return size <= NEGLIGIBLE * self(without_rigid_part(self._problem, u, self._rigid), force, tie)
+        return size <= NEGLIGIBLE * self(self._rigid.without_rigid_part(u, self._problem.diagonal), force, tie)
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> Indices:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
-from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import BY_DISPLACEMENT, Answer

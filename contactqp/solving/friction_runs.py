@@ -27,9 +27,9 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import Systems, frictional_iteration, iterated
-from contactqp.linalg.measures import force_measure, forces_that_meet, row_sizes
+from contactqp.linalg.measures import force_measure, forces_that_meet, lengths, row_sizes
 from contactqp.model.arrays import Array, all_finite, on_one_thread
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm

@@ -31,9 +31,8 @@ from contactqp.errors import (
     TimeStepWarning,
     warn,
 )
-from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, ratio, reciprocal, row_sizes
+from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, directions, lengths, ratio, reciprocal, row_sizes
 from contactqp.model.arrays import CERTIFY, METHOD, Array, Indices, Mask, Vector, stage
-from contactqp.model.coulomb import directions, lengths
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work

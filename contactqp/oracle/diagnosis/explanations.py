@@ -14,8 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arrays import Array, Mask, Vector
-from contactqp.model.coulomb import directions, lengths, slips
+from contactqp.model.coulomb import slips
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
 from contactqp.oracle.diagnosis.scales import CALLED, factors

@@ -32,11 +32,11 @@ from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.least_norm import shift_to_least_norm
-from contactqp.linalg.measures import lengths_that_meet
+from contactqp.linalg.measures import directions, lengths, lengths_that_meet
 from contactqp.linalg.nonnegative import forces_without_tension, shift_within_gaps
 from contactqp.linalg.refinement import answer_on, pushing_contacts
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import directions, lengths, slips
+from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

@@ -15,8 +15,9 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.coulomb_law import onto_cone
 from contactqp.errors import NotConverged
-from contactqp.model.coulomb import lengths, onto_cone
+from contactqp.linalg.measures import lengths
 from contactqp.solving.friction.local_form import JOINT_REGULARISATION, BlockSystem, Iterate, LocalForm
 
 # The residuals are compared after so many iterations, the penalty changes when they differ by this factor.

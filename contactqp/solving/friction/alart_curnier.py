@@ -26,8 +26,8 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Vector, refuse_late
-from contactqp.model.coulomb import lengths
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
 # The regularisation starts from, stays above, and is given up beyond these; contacts have a compliance of one.

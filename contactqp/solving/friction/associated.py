@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.coulomb_law import onto_cone
 from contactqp.errors import BackendFailed, BackendMissing, NotConverged
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Indices, Vector
-from contactqp.model.coulomb import lengths, onto_cone
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 

@@ -27,8 +27,9 @@ from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
+from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Vector, all_finite, refuse_late
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, lengths
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer

@@ -22,10 +22,11 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.coulomb_law import onto_discs
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import lengths, onto_discs
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.solving.friction.conic import SOLVERS, ConicProgram, diagonal_rows, solve_conic

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.coulomb_law import de_saxce, onto_cone
 from contactqp.errors import NotConverged
-from contactqp.linalg.measures import reciprocal
+from contactqp.linalg.measures import lengths, reciprocal
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import de_saxce, lengths, onto_cone
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 
 # Projections of one contact in one sweep; it need not be exact while the others still move.

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.coulomb_law import natural_map
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
-from contactqp.model.coulomb import natural_map
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
 

@@ -152,7 +152,7 @@ def test_a_start_is_no_hindrance() -> None:
 
 
 def test_the_slope_of_the_projection() -> None:
-    from contactqp.model.coulomb import onto_cone
+    from contactqp.certificate.coulomb_law import onto_cone
 
     rng = np.random.default_rng(0)
     kinds = set()

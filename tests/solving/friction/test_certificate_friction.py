@@ -177,7 +177,7 @@ def test_exact_answers_of_stiff_and_floating_problems_pass() -> None:
 
 def test_an_open_contact_without_friction_obeys_the_law_whether_it_slips_or_not() -> None:
     """r = 0, u_N > 0: at rest sideways too, where 0 <= mu (r_N - u_N) = -0 says nothing of the cone, a half line."""
-    from contactqp.model.coulomb import natural_map
+    from contactqp.certificate.coulomb_law import natural_map
 
     for slip in (0.0, 1.0):
         assert not np.any(natural_map(np.zeros((1, 2)), np.array([[0.7, slip]]), np.zeros(1)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.model.coulomb import natural_map
+from contactqp.certificate.coulomb_law import natural_map
 
 FACTS = dict(load=[-1.0, 0.2, 0.0, 0.0], normal=[[-1.0, 0, 0, 0], [0, 0, -1.0, 0]], gap=[0.0, 1.0])
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import contactqp as cq
-from contactqp.model.coulomb import lengths
+from contactqp.linalg.measures import lengths
 from tests.solving.friction.problems import walls_that_conflict
 
 ALGORITHMS = ("newton", "nsgs", "ppa", "admm", "aclm", "tresca")

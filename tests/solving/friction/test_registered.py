@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.model.coulomb import natural_map
+from contactqp.certificate.coulomb_law import natural_map
 from contactqp.solving.friction.algorithms import ALGORITHMS, Algorithm, register
 from contactqp.solving.friction.convex_steps import ConvexSteps
 from contactqp.solving.friction.local_form import Iterate, LocalForm

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.model.coulomb import natural_map
+from contactqp.certificate.coulomb_law import natural_map
 from tests.solving.friction.problems import Known, known_answer
 from tests.solving.friction.space import WAYS, block, direction, several
 
