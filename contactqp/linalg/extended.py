@@ -57,14 +57,14 @@ class Extended:
         return _holding(-self.hi, -self.lo)
 
     def __add__(self, other: Extended | Array) -> Extended:
+        lower = self.lo
         if isinstance(other, Extended):
-            return _normalised(*two_sum(self.hi, other.hi), self.lo + other.lo)
-        return _normalised(*two_sum(self.hi, np.asarray(other, dtype=float)), self.lo)
+            lower, other = lower + other.lo, other.hi
+        total, error = two_sum(self.hi, np.asarray(other, dtype=float))
+        return _holding(*two_sum(total, error + lower))
 
     def __sub__(self, other: Extended | Array) -> Extended:
-        if isinstance(other, Extended):
-            return _normalised(*two_sum(self.hi, -other.hi), self.lo - other.lo)
-        return self + np.negative(other)
+        return self + (-other)
 
     def parted(self, *places: int) -> list[Extended]:
         """Return the parts between these places, which share their entries with the whole."""
@@ -74,6 +74,11 @@ class Extended:
     def times(self, factor: Array | float) -> Extended:
         """Return the product with powers of two."""
         return _holding(self.hi * factor, self.lo * factor)
+
+    def spread(self, factors: Array) -> Extended:
+        """Return the products of every entry with the doubles of its row (q, w), flat."""
+        products, errors = two_product(factors, self.hi[:, None])
+        return _holding(products.ravel(), (errors + factors * self.lo[:, None]).ravel())
 
     def added_at(self, index: Any, values: Array) -> Extended:
         """Return a copy with doubles added to some entries."""
@@ -110,11 +115,6 @@ def _holding(hi: Array, lo: Array) -> Extended:
     made = object.__new__(Extended)
     made.hi, made.lo = hi, lo
     return made
-
-
-def _normalised(total: Array, error: Array, lower: Array) -> Extended:
-    """Return total + (error + lower), the error being that of the total."""
-    return _holding(*two_sum(total, error + lower))
 
 
 def joined(*parts: Extended) -> Extended:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Protocol
 
 import numpy as np
@@ -31,7 +32,6 @@ from contactqp.linalg.extended import (
     extend,
     extended_rows,
     residuals_of,
-    two_product,
 )
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
@@ -142,29 +142,32 @@ class StateSystem:
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._condensation, self._rows = condensation, rows
         tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
-        along = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
-        dragged = rows.coefficient[self.closed, None] * along
+        drag = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
+        dragged = rows.coefficient[self.closed, None] * drag
         normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
         held, pushed = (np.concatenate([one, stuck, rows.tie]) for one in (normal, normal + dragged))
         stiffness = rows.S
         across, compliance = _across(tangent, directions, turning)
         # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
-        felt = np.flatnonzero(held.any(axis=1))
-        self._kept, self._count = felt, len(held)
+        felt = kept = np.flatnonzero(held.any(axis=1))
         if independent:
-            self._kept = felt[independent_rows(_of_unit_length(held[felt]))]
+            kept = felt[independent_rows(_of_unit_length(held[felt]))]
             free = _unresisted(rows.motions, np.concatenate([held, across]))
             stiffness = stiffness + free @ free.T
-        self.redundant = len(self._kept) < len(felt)
-        held, pushed = held[self._kept], pushed[self._kept]
-        held, pushed = np.concatenate([held, across]), np.concatenate([pushed, across])
-        p, kept = len(stiffness), len(self._kept)
+        self.redundant = len(kept) < len(felt)
+        held, pushed = np.concatenate([held[kept], across]), np.concatenate([pushed[kept], across])
+        p = len(stiffness)
         matrix = np.zeros((p + len(held), p + len(held)))
         matrix[:p, :p], matrix[:p, p:], matrix[p:, :p] = stiffness, pushed.T, held
-        across_slip = np.arange(p + kept, p + len(held))
+        across_slip = np.arange(p + len(kept), p + len(held))
         matrix[across_slip, across_slip] = -compliance
-        self._size, self._contacts, self._ties = len(rows.S), problem.contacts, problem.ties
-        self._order = len(matrix)
+        self._size, self._order, self._contacts = len(rows.S), len(matrix), problem.contacts
+        # Lengths and forces are normal, tangential and those of ties, (m + (d-1) m + k,): these act, in these units.
+        m, end = len(rows.normal), len(rows.normal) + len(rows.tangent)
+        along, ties = np.arange(m, end).reshape(-1, rows.width), np.arange(end, end + len(rows.tie))
+        self._acting = np.concatenate([self.closed, along[self.stuck].ravel(), ties])[kept]
+        units = (rows.normal_length, np.repeat(rows.tangent_length, rows.width), rows.tie_length)
+        self._units = np.concatenate(units)[self._acting]
         self._factorise(matrix, 0.0 if independent else SINGULAR)
 
     def suits(self, status: Status, directions: Array, turning: Vector | None) -> bool:
@@ -197,34 +200,30 @@ class StateSystem:
         transposed : whether the system is the transposed one
         """
         reduced, inner = self._condensation.reduce_residual(load)
-        rows, c, b, p = self._rows, self.closed, self.stuck, self._size
-        slips = slip.reshape(self._contacts, rows.width)[b] / rows.tangent_length[b, None]
-        lengths = (gap[c] / rows.normal_length[c], slips.ravel(), tie / rows.tie_length)
+        rows, m, p = self._rows, self._contacts, self._size
+        lengths, q = np.concatenate([gap, slip.ravel(), tie]), p + len(self._acting)
         right = np.zeros(self._order)
-        right[: p + len(self._kept)] = np.concatenate([reduced * rows.scale, np.concatenate(lengths)[self._kept]])
+        right[:p], right[p:q] = reduced * rows.scale, lengths[self._acting] / self._units
         if self._inverse is not None:
             found = (self._inverse.T if transposed else self._inverse) @ right
         else:
             found = lapack().dgetrs(*self._factor, right, trans=int(transposed))[0]
-        return self._expanded(found, inner)
+        forces, end = np.zeros(len(lengths)), m * (1 + rows.width)
+        forces[self._acting] = found[p:q] / self._units
+        du = self._condensation.expand(found[:p] * rows.scale, inner)
+        return du, forces[:m], forces[m:end].reshape(m, rows.width), forces[end:]
 
     def unresolved(self) -> list[tuple[Vector, Vector, Array, Vector]]:
         """Return a basis of what may be added to the solutions of a system without inverse, each as `correct` does."""
         values, right = right_singular(self._singular)
-        inner = self._condensation.reduce_residual(np.zeros(len(self._condensation.unknown_scale)))[1]
-        return [self._expanded(one, inner) for one in right[np.sum(values > SINGULAR * values[0]) :]]
-
-    def _expanded(self, found: Vector, inner: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """Return displacements and forces of a solution of the matrix."""
-        rows, c, b, p = self._rows, self.closed, self.stuck, self._size
-        y = np.zeros(p + self._count)
-        y[:p], y[p + self._kept] = found[:p], found[p : p + len(self._kept)]
-        normal_force, friction_force = np.zeros(self._contacts), np.zeros((self._contacts, rows.width))
-        normal_force[c] = y[p : p + len(c)] / rows.normal_length[c]
-        sticking = y[p + len(c) : len(y) - self._ties].reshape(len(b), rows.width)
-        friction_force[b] = sticking / rows.tangent_length[b, None]
-        tie_force = y[len(y) - self._ties :] / rows.tie_length
-        return self._condensation.expand(y[:p] * rows.scale, inner), normal_force, friction_force, tie_force
+        free, rows, m, p = right[np.sum(values > SINGULAR * values[0]) :], self._rows, self._contacts, self._size
+        _, inner = self._condensation.reduce_residual(np.zeros(len(self._condensation.unknown_scale)))
+        moved = (self._condensation.expand(one[:p] * rows.scale, inner) for one in free)
+        end = m * (1 + rows.width)
+        forces = np.zeros((len(free), end + len(rows.tie)))
+        forces[:, self._acting] = free[:, p : p + len(self._acting)] / self._units
+        along = forces[:, m:end].reshape(-1, m, rows.width)
+        return list(zip(moved, forces[:, :m], along, forces[:, end:], strict=True))
 
 
 def _unresisted(motions: Array, held: Array) -> Array:
@@ -340,35 +339,43 @@ def refined_by(
     sweeps : at most so many are made in the plane
     caution : refinement goes on until this many times what it still has to do is negligible
     """
-    pushing = np.where(status != OPEN, start.normal_force, 0.0)
-    sticking = np.where(status[:, None] == STICK, _friction_of(start, rows.width), 0.0).ravel()
-    origin = _origin(problem)
-    u, force, stick, tie = map(extend, (start.displacement, pushing, sticking, start.tie_force))
+    pushing, origin, in_space = np.where(status != OPEN, start.normal_force, 0.0), _origin(problem), rows.width > 1
+    given = _friction_of(start, rows.width)
+    sticking = np.where(status[:, None] == STICK, given, 0.0).ravel()
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
         left = None  # of small problems they are formed as fast as changed
-    system, elastic, size, last, regular, in_space = None, None, np.inf, np.inf, True, rows.width > 1
+    x = extend(np.concatenate([start.displacement, start.tie_force, pushing, sticking]))
+    n, k, m = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
+    # Corrections of normal and friction forces are measured together in energy scale: apart, one of friction forces
+    # that are zero would be infinite.
+    unit, parts = np.ones(len(x)), sorted({0, n, k} - {len(x)})
+    unit[k:m], unit[m:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
+    system, elastic, size, last, regular = None, None, np.inf, np.inf, True
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
+        u, tie, force, stick = x.parted(*ends)
         if in_space or system is None:  # in the plane the combination says all of the directions
             slip = (exact.slip(u) - origin).double() if in_space else origin
             directions, turning = slip_directions(rows, status, slip, force)
+            along = _coefficients(problem)[:, None] * directions
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
         if system is None or (in_space and size > max(WELL_TURNED * last, ROUNDED)):
             refuse_late("the answer was solved for on its combination of open, stick and slip")
             system = make(directions, turning)
             regular = regular and system.regular
         last = size
-        friction = stick + friction_bound(problem, force, directions)
+        friction = stick + force.spread(along)
         if left is None:
             left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction), elastic)
         else:
-            changed = friction - _friction_of(start, rows.width).ravel()
-            left = replace(left, force=left.force - exact.friction_force(changed))
+            left = replace(left, force=left.force - exact.friction_force(friction - given.ravel()))
         if not in_space:
             slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
         du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
-        u, force, stick, tie = u + du, force + dl, stick + dt.ravel(), tie + dn
-        whole = u.double(), force.double(), stick.double(), tie.double()
-        size = max(_part(du, whole[0]), _pushed_part(rows, (dl, dt.ravel()), whole[1:3]), _part(dn, whole[3]))
+        change = np.concatenate([du, dn, dl, dt.ravel()])
+        x = x + change
+        whole = x.double()
+        moved, most = np.maximum.reduceat(abs(unit * change), parts), np.maximum.reduceat(abs(unit * whole), parts)
+        size = float(np.divide(moved, most, out=np.zeros_like(most), where=most > 0).max())
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
@@ -376,12 +383,13 @@ def refined_by(
         foreseen = size * min(caution * size / last, 1.0)
         if sweep and (foreseen <= NEGLIGIBLE or (turning is not None and turning.any() and size <= UNSEEN)):
             break
-        elastic = None if left.elastic is None else elastic_after(problem, whole[0], left.elastic, du)
+        elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None
+    u, tie, force, stick = x.parted(*ends)
     if in_space:
         directions, _ = slip_directions(rows, status, (exact.slip(u) - origin).double(), force)
-    friction = stick + friction_bound(problem, force, directions)
-    redundant = system is not None and system.redundant
+        along = _coefficients(problem)[:, None] * directions
+    friction, redundant = stick + force.spread(along), system is not None and system.redundant
     return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
 
 
@@ -456,12 +464,11 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
 
 def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
     """Return mu l_N t as a flat vector; exact in the plane, where mu t is a double."""
-    coefficient = 0.0 if problem.friction is None else problem.friction
-    along = (np.asarray(coefficient)[..., None] * directions).ravel()
-    width = directions.shape[1]
-    hi, lo = (force.hi, force.lo) if width == 1 else (np.repeat(force.hi, width), np.repeat(force.lo, width))
-    product, error = two_product(along, hi)
-    return Extended(product, error + along * lo)
+    return force.spread(_coefficients(problem)[:, None] * directions)
+
+
+def _coefficients(problem: ContactProblem) -> Vector:
+    return np.zeros(problem.contacts) if problem.friction is None else problem.friction
 
 
 def _friction_of(answer: Answer, width: int) -> Array:
@@ -470,15 +477,6 @@ def _friction_of(answer: Answer, width: int) -> Array:
 
 def _origin(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
-
-
-def _pushed_part(rows: ScaledRows, change: tuple[Vector, Vector], whole: tuple[Vector, Vector]) -> float:
-    """Return the size of a correction of normal and friction forces relative to them, both together in energy scale.
-
-    Measured apart, a correction of friction forces that are zero would be infinite.
-    """
-    lengths = np.concatenate([rows.normal_length, np.repeat(rows.tangent_length, rows.width)])
-    return _part(lengths * np.concatenate(change), lengths * np.concatenate(whole))
 
 
 def _part(change: Vector, whole: Vector) -> float:
