@@ -411,7 +411,7 @@ class _Frictional:
         rows = condensed_frictional_rows(problem, condensation)
         self._problem, self._shape = problem, shape_of_tangents(problem)
         slip = answer.tangent.ravel()
-        self.directions, scaled = slip_directions(rows, status, slip, extend(answer.normal))
+        self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
         self._system = StateSystem(problem, condensation, rows, status, self.directions, scaled)
         self.regular = self._system.regular
         across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]

@@ -209,8 +209,7 @@ class Linearised:
             slip[begins] = FAR * along
             across = np.column_stack([-along[:, 1], along[:, 0]])
             problem = slips_across(problem, begins, across)
-        tie = np.concatenate([self._answer.tie, np.zeros(len(begins))])
-        answer = Parts(self._answer.displacement, push, slip, tie)
+        answer = Parts(self._answer.displacement, push, slip, np.concatenate([self._answer.tie, np.zeros(len(begins))]))
         system = RateSystem(problem, condense(problem), status, answer)
         if rates is None:
             self._systems[key] = system

@@ -309,7 +309,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    size, own = force_size(problem, push), np.sqrt(own_compliance(problem, problem.normal))
+    size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
     if floats:
         # A solution that is known has its own rigid part, however far away the answer is.
         moved = solution.double() if pair.exact else answer.displacement

@@ -286,20 +286,21 @@ def status_words(certificate: Certificate, friction: Vector | None, grazing: Mas
     return status
 
 
-def energy_norm(problem: ContactProblem, displacement: Extended) -> tuple[float, float]:
+def energy_norm(problem: ContactProblem, displacement: Extended | Vector) -> tuple[float, float]:
     """Return |v|_K [square root of energy] and a bound on its error: even extended precision rounds a large rigid
     motion.
 
     In double precision, unless that rounds away more than a few digits.
     """
-    v = displacement.double()
+    v = displacement if isinstance(displacement, np.ndarray) else displacement.double()
     u = abs(v)
     square = float(v @ (problem.stiffness @ v))
     size = float(u @ (problem.stiffness_sizes @ u))
     terms = problem.dimension + 2  # of the longest sum
     rounding = terms * ROUNDING * size
     if rounding > FEW_DIGITS * square:
-        square = max(float(displacement.dot(extended_rows(problem).stiffness @ displacement)), 0.0)
+        exact = extend(displacement)
+        square = max(float(exact.dot(extended_rows(problem).stiffness @ exact)), 0.0)
         rounding = float(PRODUCT * EPS * size)
     norm = float(np.sqrt(square))
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))

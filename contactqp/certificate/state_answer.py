@@ -57,7 +57,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, lengths, row_sizes
 from contactqp.linalg.measures import directions as directions_of
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import STATE, Answer, Violations
@@ -257,6 +257,10 @@ class _Comparison:
         self._bodies, self._width, self._frictional = bodies, bodies.width, bodies.frictional
         self._along, self._across = bodies.along, bodies.across
         self._own = own_compliances(problem, self._along, self._across)
+        self._slip = self.slip(answer.displacement)
+        given = np.zeros_like(self._slip) if answer.friction_force is None else answer.friction_force
+        self.friction, self._dragged = given, lengths(given)
+        self.still = lengths(found.nothing.tangent.reshape(-1, self._width))  # slips (m,) up to which there is none
         # Along a tangent whose unknowns are all supported any friction would do.
         moved = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
         self._felt = moved.reshape(problem.contacts, -1) > 0
@@ -271,22 +275,17 @@ class _Comparison:
         """
         believed = self._believed()
         found, reason = self._nearest_from(believed, tolerance, nothing)
-        slides = (believed == STICK) & self._at_bound()
+        most = self.coefficient * np.maximum(self._answer.normal_force, 0.0)
+        slides = (believed == STICK) & (most > 0) & (self._dragged >= (1 - AT_BOUND) * most)
         if not slides.any() or (found is not None and max(found.relative(nothing).values()) <= tolerance):
             return found, reason
         kept = self.redundant, self.displacement, self.compared
-        slip = self.slip(extend(self._answer.displacement))
-        sliding = np.where(slides, self._sliding(slip, self.friction), believed).astype(np.int8)
+        sliding = np.where(slides, self._sliding(lengths(self._slip)), believed).astype(np.int8)
         other, _ = self._nearest_from(sliding, tolerance, nothing)
         if other is not None and max(other.relative(nothing).values()) <= tolerance:
             return other, None
         self.redundant, self.displacement, self.compared = kept
         return found, reason
-
-    def _at_bound(self) -> Mask:
-        """Return the contacts that push and whose friction is at its bound (m,)."""
-        most = self.coefficient * np.maximum(self._answer.normal_force, 0.0)
-        return np.asarray((most > 0) & (lengths(self.friction) >= (1 - AT_BOUND) * most))
 
     def _nearest_from(self, status: Status, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
         """Return `nearest` from one combination, which failing signs change."""
@@ -318,7 +317,7 @@ class _Comparison:
 
     def _last_correction(self, refined: RefinedState) -> float:
         """Return the size of the last correction of the refinement [square root of energy]."""
-        moved, dragged = energy_norm(self._problem, extend(refined.last.displacement))[0], refined.last.friction_force
+        moved, dragged = energy_norm(self._problem, refined.last.displacement)[0], refined.last.friction_force
         assert dragged is not None
         return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, dragged)))
 
@@ -327,22 +326,21 @@ class _Comparison:
 
         Room is the difference of friction from its bound, as a length.
         """
-        force, gap = self._answer.normal_force, self._found.gap
-        slip, friction = self.slip(extend(self._answer.displacement)), self.friction
-        room = self.coefficient * np.maximum(force, 0.0) - lengths(friction)
+        force, gap, size = self._answer.normal_force, self._found.gap, lengths(self._slip)
+        room = self.coefficient * np.maximum(force, 0.0) - self._dragged
         # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
-        moved = np.where(lengths(slip) > self.still, lengths(slip), 0.0)
+        moved = np.where(size > self.still, size, 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
-        status = np.where(sticks & self._frictional, STICK, self._sliding(slip, friction))
+        status = np.where(sticks & self._frictional, STICK, self._sliding(size))
         # Where ties hold all that a contact touches it is closed by its force, and its gap by nothing.
         closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & (gap <= self._found.nothing.normal))
         return np.where(closed, status, OPEN).astype(np.int8)
 
-    def _sliding(self, slip: Array, friction: Array) -> Status:
-        """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
+    def _sliding(self, size: Vector) -> Status:
+        """Return the slip states (m,) along slips of these sizes (m,), or along friction; in space all are SLIP_ON."""
         if self._width > 1:
-            return np.full(len(slip), SLIP_ON, dtype=np.int8)
-        direction = np.where(lengths(slip) > self.still, slip[:, 0], friction[:, 0])
+            return np.full(len(size), SLIP_ON, dtype=np.int8)
+        direction = np.where(size > self.still, self._slip[:, 0], self.friction[:, 0])
         return np.where(direction < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
 
     @cached_property
@@ -350,16 +348,6 @@ class _Comparison:
         """The coefficients of friction (m,), 0 where a contact cannot slide."""
         assert self._problem.friction is not None
         return np.where(self._frictional, self._problem.friction, 0.0)
-
-    @cached_property
-    def friction(self) -> Array:
-        given = self._answer.friction_force
-        return np.zeros((self._problem.contacts, self._width)) if given is None else given
-
-    @cached_property
-    def still(self) -> Vector:
-        """The slips (m,) up to which there is none."""
-        return lengths(self._found.nothing.tangent.reshape(-1, self._width))
 
     def slip(self, displacement: object) -> Array:
         """Return the slips E_T u - slip_origin (m, d-1)."""
@@ -371,13 +359,16 @@ class _Comparison:
     def _distance(self, refined: RefinedState, signs: _Signs, strain: float) -> _Distance:
         """Return the distance from a refined answer whose displacement has the energy norm `strain`."""
         problem, answer = self._problem, self._answer
-        apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
         push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
+        apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
         dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
         of_forces = self._bodies.response_norm(push, other)
         size = of_forces if of_forces > NEXT_TO_NOTHING * strain else strain
-        whole = max(size, force_size(problem, push), self._friction_size(other))
+        force = self._bodies.response_norm(normal, dragged), size
+        whole = max(
+            size, force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel())
+        )
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
             met = in_energy(self._found.lengths, own_normal)
@@ -389,7 +380,6 @@ class _Comparison:
         if refined.redundant:
             of_contact = np.zeros_like(of_contact)
         worst = int(np.argmax(of_contact))
-        force = self._bodies.response_norm(normal, dragged), size
         return _Distance(
             (apart, strain),
             max(force, self._with_ties(refined, normal, dragged), key=lambda one: _part(one[0], one[1], 0.0)),
@@ -427,11 +417,7 @@ class _Comparison:
         """Return the energy norm of rounding the displacement to doubles."""
         size = abs(self._answer.displacement)
         held = HELD_BY_DOUBLES * np.sqrt(size @ (self._problem.stiffness_sizes @ size))
-        return max(float(held), self._bodies.rounding(self._answer.displacement))
-
-    def _friction_size(self, friction: Array) -> float:
-        force = row_sizes(self._problem, self._problem.tangent).resultant(friction.ravel())
-        return float(np.linalg.norm(self._problem.own_scale * force))
+        return max(float(held), self._bodies.rounding(self._answer.displacement) if self._bodies.floats else 0.0)
 
 
 class _Signs:
@@ -444,10 +430,10 @@ class _Signs:
 
     def __init__(self, of: _Comparison, refined: RefinedState, status: Status, least: float) -> None:
         problem, nothing = of._problem, of._found.nothing
+        slip = of.slip(refined.displacement)
         gap = extended_rows(problem).gap(problem, refined.displacement).double()
         force = refined.normal_force.double()
         self._friction = refined.friction_force.double().reshape(-1, of._width)
-        slip = of.slip(refined.displacement)
         own_normal, own_tangent = of._own
         closing = in_energy(np.maximum(-gap, 0.0), own_normal)
         meets = (-gap > nothing.normal) | (closing > least)

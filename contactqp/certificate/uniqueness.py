@@ -286,8 +286,7 @@ def uniqueness(
     if condensation is None or reason is not None:
         reason = reason or "the bodies are not condensed onto their contacts"
         return Uniqueness((UNKNOWN,), (f"uniqueness was not examined: {reason}",))
-    state = _State(problem, answer, found, tolerance)
-    constants = critical(problem, condensation)
+    constants, state = critical(problem, condensation), _State(problem, answer, found, tolerance)
     sentences = [_forces(problem, state, condensation), _displacements(problem, constants, condensation)]
     contraction = _contraction(problem, state, condensation)
     notes = [note for _, note in sentences if note]

@@ -23,7 +23,7 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows
-from contactqp.linalg.dense import BALANCED, unknown_scale
+from contactqp.linalg.dense import BALANCED
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -102,6 +102,8 @@ LEAST_SLIP = 1e-13
 INVISIBLE = 1e-22
 # A correction of this part of the answer is beneath what doubles hold.
 NEGLIGIBLE = 1e-20
+# What was to be done where the time limit has passed.
+LATE = "the answer was solved for on its combination of open, stick and slip"
 # Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
 SINGULAR = 1e-12
 
@@ -297,7 +299,6 @@ def refined_in(
     independent : as in `StateSystem`
     left : those of the start, where they are known
     """
-    exact = extended_rows(problem)
 
     def system(directions: Array, turning: Vector | None) -> StateSystem:
         last: dict[bool, StateSystem] = rows.system
@@ -310,20 +311,21 @@ def refined_in(
         return made
 
     caution = np.inf if independent else CAUTION
-    found = refined_by(system, exact, problem, rows, status, start, left=left, caution=caution)
+    found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
     balanced = not condensation.rigid.count
     if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
         return found
-    return refined_by(system, condensation.cleared_rows(exact), problem, rows, status, start)
+    cleared = condensation.cleared_rows(extended_rows(problem))
+    return refined_by(system, problem, rows, status, start, exact=cleared)
 
 
 def refined_by(
     make: Callable[[Array, Vector | None], Corrections],
-    exact: ExtendedRows,
     problem: ContactProblem,
     rows: ScaledRows,
     status: Status,
     start: Answer,
+    exact: ExtendedRows | None = None,
     sweeps: int = MAX_SWEEPS,
     left: Residuals | None = None,
     caution: float = np.inf,
@@ -333,37 +335,39 @@ def refined_by(
     Parameters
     ----------
     make : function of slip directions (m, d-1) and their turning, returns the system
-    exact : form the residuals
     problem, rows, status, start, left
         As in `refined_in`.
+    exact : form the residuals; those of the problem where it is None
     sweeps : at most so many are made in the plane
     caution : refinement goes on until this many times what it still has to do is negligible
     """
-    pushing, origin, in_space = np.where(status != OPEN, start.normal_force, 0.0), _origin(problem), rows.width > 1
-    given = _friction_of(start, rows.width)
+    in_space, origin, given = rows.width > 1, _origin(problem), _friction_of(start, rows.width)
+    pushing = np.where(status != OPEN, start.normal_force, 0.0)
     sticking = np.where(status[:, None] == STICK, given, 0.0).ravel()
+    refuse_late(LATE)
+    exact = exact or extended_rows(problem)
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
         left = None  # of small problems they are formed as fast as changed
-    x = extend(np.concatenate([start.displacement, start.tie_force, pushing, sticking]))
+    first = np.concatenate([start.displacement, start.tie_force, pushing, sticking])
     n, k, m = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
     # Corrections of normal and friction forces are measured together in energy scale: apart, one of friction forces
     # that are zero would be infinite.
-    unit, parts = np.ones(len(x)), sorted({0, n, k} - {len(x)})
+    unit, parts = np.ones(len(first)), sorted({0, n, k} - {len(first)})
     unit[k:m], unit[m:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
-    system, elastic, size, last, regular = None, None, np.inf, np.inf, True
+    x, elastic, size, last = extend(first), None, np.inf, np.inf
+    slip = (exact.slip(x[:n]) - origin).double() if in_space else origin
+    directions, turning = slip_directions(rows, status, slip, pushing)
+    system, coefficients = make(directions, turning), _coefficients(problem)[:, None]
+    regular = system.regular
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
-        u, tie, force, stick = x.parted(*ends)
-        if in_space or system is None:  # in the plane the combination says all of the directions
-            slip = (exact.slip(u) - origin).double() if in_space else origin
-            directions, turning = slip_directions(rows, status, slip, force)
-            along = _coefficients(problem)[:, None] * directions
         # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
-        if system is None or (in_space and size > max(WELL_TURNED * last, ROUNDED)):
-            refuse_late("the answer was solved for on its combination of open, stick and slip")
+        if in_space and size > max(WELL_TURNED * last, ROUNDED):
+            refuse_late(LATE)
             system = make(directions, turning)
             regular = regular and system.regular
         last = size
-        friction = stick + force.spread(along)
+        u, tie, force, stick = x.parted(*ends)
+        friction = stick + force.spread(coefficients * directions)
         if left is None:
             left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction), elastic)
         else:
@@ -376,21 +380,22 @@ def refined_by(
         whole = x.double()
         moved, most = np.maximum.reduceat(abs(unit * change), parts), np.maximum.reduceat(abs(unit * whole), parts)
         size = float(np.divide(moved, most, out=np.zeros_like(most), where=most > 0).max())
+        unseen = UNSEEN if turning is not None and turning.any() else 0.0
+        if in_space:
+            slip = (exact.slip(x[:n]) - origin).double()
+            directions, turning = slip_directions(rows, status, slip, whole[k:m])
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
             break
         foreseen = size * min(caution * size / last, 1.0)
-        if sweep and (foreseen <= NEGLIGIBLE or (turning is not None and turning.any() and size <= UNSEEN)):
+        if sweep and (foreseen <= NEGLIGIBLE or size <= unseen):
             break
         elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None
     u, tie, force, stick = x.parted(*ends)
-    if in_space:
-        directions, _ = slip_directions(rows, status, (exact.slip(u) - origin).double(), force)
-        along = _coefficients(problem)[:, None] * directions
-    friction, redundant = stick + force.spread(along), system is not None and system.redundant
-    return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, redundant)
+    friction = stick + force.spread(coefficients * directions)
+    return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, system.redundant)
 
 
 def answer_in(
@@ -412,7 +417,7 @@ def answer_in(
         near = refined.answer(rows.width)
         slender = refined_in(problem, condensation, rows, status, near, independent=True)
         refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
-    return without_noise(problem, rows, refined.answer(rows.width), start)
+    return without_noise(problem.load, condensation.unknown_scale, rows, refined.answer(rows.width), start)
 
 
 def _settled(refined: RefinedState) -> bool:
@@ -420,7 +425,7 @@ def _settled(refined: RefinedState) -> bool:
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
-def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Extended) -> tuple[Array, Vector | None]:
+def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
     """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane.
 
     Parameters
@@ -428,19 +433,19 @@ def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Exten
     rows : ScaledRows
     status : (m,) array of int, the combination
     slip : ((d-1) m,) array [length], of all contacts; in the plane it is not used
-    force : Extended (m,), normal forces [force]
+    force : (m,) array, normal forces [force]
     """
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
     sliding = abs(status) == 1
     vectors = np.where(sliding[:, None], slip.reshape(-1, rows.width), 0.0)
     size = lengths(vectors) / rows.tangent_length
-    bound = rows.coefficient * np.maximum(force.double(), 0.0) * rows.normal_length
+    bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
     turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
     return directions_of(vectors), turning
 
 
-def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
+def without_noise(load: Vector, scale: Vector, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
     """Set to zero what is beneath the rounding of refinement: of the start, of the answer and of the load.
 
     All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
@@ -448,18 +453,17 @@ def without_noise(problem: ContactProblem, rows: ScaledRows, answer: Answer, sta
 
     Parameters
     ----------
-    problem : ContactProblem
+    load, scale : (n,) arrays, the load [force] and the scale of the unknowns
     rows : ScaledRows
     answer, start : what refinement came to, and where it began
     """
-    scale = unknown_scale(problem)
-    far = INVISIBLE * float(np.max(abs(problem.load) * scale, initial=0.0))
+    far = float(abs(load * scale).max(initial=0.0))
     for one in (answer, start):
-        sizes = (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force)
-        far = max(far, *(INVISIBLE * float(abs(size).max(initial=0.0)) for size in sizes))
+        for size in (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force):
+            far = max(far, float(abs(size).max(initial=0.0)))
     values = (answer.displacement, answer.normal_force, _friction_of(answer, rows.width), answer.tie_force)
     units = (1.0 / scale, rows.normal_length, rows.tangent_length[:, None], rows.tie_length)
-    return Answer(*zero_beneath(values, units, far))
+    return Answer(*zero_beneath(values, units, INVISIBLE * far))
 
 
 def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:

@@ -385,9 +385,9 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
     return np.asarray(outer)
 
 
-def force_size(problem: ContactProblem, force: Vector) -> float:
-    """Return |D E'l|, the size of contact forces at their own unknowns, the rest held [square root of energy]."""
-    felt = problem.own_scale * row_sizes(problem, problem.normal).resultant(force)
+def force_size(problem: ContactProblem, rows: Any, force: Vector) -> float:
+    """Return |D E'l|, the size of forces of rows at their own unknowns, the rest held [square root of energy]."""
+    felt = problem.own_scale * row_sizes(problem, rows).resultant(force)
     return float(np.sqrt(felt @ felt))
 
 

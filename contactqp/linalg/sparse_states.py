@@ -21,7 +21,6 @@ import scipy.sparse as sp
 
 from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import scaled_by
-from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
 from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS
@@ -337,5 +336,5 @@ def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweep
     start : where refinement begins
     sweeps : at most so many corrections
     """
-    rows, exact = frictional_rows(problem), extended_rows(problem)
-    return refined_by(lambda *_: rows.system(problem, status), exact, problem, rows, status, start, sweeps)
+    rows = frictional_rows(problem)
+    return refined_by(lambda *_: rows.system(problem, status), problem, rows, status, start, sweeps=sweeps)
