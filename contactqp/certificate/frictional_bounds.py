@@ -410,6 +410,8 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     if len(problem.offset) > MOST_UNKNOWNS:
         return f"{problem.contacts} contacts: too many for dense operators"
     W, n, mu = problem.scaled_delassus.toarray(), len(problem.offset), problem.friction
+    sign = np.tile(np.r_[1.0, -np.ones(problem.dimension - 1)], problem.contacts)
+    W = W * np.outer(sign, sign)  # r_T = -l_T, and slips nearby depend on the sign of what couples them to r_N
     compliance = ContactOperators((W + W.T) / 2, np.zeros((n, 0)), np.zeros((0, 0)), 1 / problem.contact_scale, 0)
     found = refined_forces(problem, force, status)
     if found is None:

@@ -163,3 +163,60 @@ def test_what_is_not_bounded_is_said() -> None:
     known = cq.certify_local(cq.LocalProblem(np.eye(2), [-1.0, 0.0], 0.3, 2), [1.0, 0.0])
     assert "proven: at most" in str(known)
     assert "from the only forces" in str(known)
+
+
+def other_slips(W: Any, q: Any, mu: float, angle: float) -> list[Any]:
+    """The forces of one contact that slips in another direction than `angle`, up to 0.6 from it, found by bisection."""
+
+    def of(a: Any) -> tuple[Any, Any, Any]:
+        """Forces whose gap velocity is zero, how far the slip turns from t, and whether it points along it."""
+        t = np.array([np.cos(a), np.sin(a)])
+        unit = np.array([np.ones_like(a), -mu * t[0], -mu * t[1]])
+        push = -q[0] / (W[0] @ unit)
+        slip = q[1:, None] + push * (W[1:] @ unit)
+        return push * unit, t[0] * slip[1] - t[1] * slip[0], (push > 0) & (np.sum(t * slip, axis=0) > 0)
+
+    tried = angle + np.linspace(-0.6, 0.6, 1200) + 1.3e-4
+    _, turn, along = of(tried)
+    found = []
+    for i in np.flatnonzero((turn[:-1] * turn[1:] < 0) & along[:-1] & along[1:]):
+        ends = tried[i : i + 2].copy()
+        for _ in range(50):
+            middle = ends.mean(keepdims=True)
+            ends[0 if of(middle)[1][0] * of(ends[:1])[1][0] > 0 else 1] = middle[0]
+        if abs(ends[0] - angle) > 1e-6:
+            found.append(of(ends[:1])[0][:, 0])
+    return found
+
+
+@pytest.mark.parametrize("form", ["local", "bodies"])
+@pytest.mark.parametrize("problems", [120, pytest.param(2000, marks=pytest.mark.slow)])
+def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
+    """In space, where friction beside the critical one has two answers near each other."""
+    rng, local = np.random.default_rng(4), 0
+    for _ in range(problems):
+        shape, angle = rng.normal(size=(3, 3)), rng.uniform(0, 2 * np.pi)
+        W = shape @ shape.T + 0.3 * np.eye(3)
+        mu = float(rng.uniform(0.5, 3.0) * W[0, 0] / np.hypot(*W[0, 1:]))
+        t = np.array([np.cos(angle), np.sin(angle)])
+        right = np.r_[1.0, -mu * t]
+        q = np.r_[0.0, rng.uniform(0.01, 2) * t] - W @ right
+        others = other_slips(W, q, mu, angle)
+        if not others:
+            continue
+        if form == "local":
+            found = cq.certify_local(cq.LocalProblem(W, q, mu, 3), right)
+        else:
+            sign = np.array([1.0, -1.0, -1.0])
+            K = np.linalg.inv(W * np.outer(sign, sign))
+            problem = cq.ContactProblem(
+                (K + K.T) / 2, np.zeros(3), np.eye(3)[:1], q[:1], tangent=np.eye(3)[1:], friction=mu, slip_origin=-q[1:]
+            )
+            found = cq.certify(problem, -np.linalg.solve(K, sign * right), [1.0], sign[1:] * right[1:])
+        assert found.passed
+        assert found.scope != "global"
+        if found.scope == "local":
+            local += 1
+            apart = [float(np.sqrt((other - right) @ W @ (other - right))) for other in others]
+            assert min(apart) > found.radius
+    assert local >= problems // 50
