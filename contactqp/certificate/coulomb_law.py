@@ -192,8 +192,9 @@ def coulomb_data(problem: ContactProblem, answer: Answer, F: Vector, none: Vecto
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
+    measure = friction_measure(across, along, hardly)
     rounding = HELD_BY_DOUBLES * lengths_across(problem, answer.displacement)
-    return CoulombData(slip, rounding, problem.friction, friction_measure(across, along, hardly))
+    return CoulombData(slip, rounding, problem.friction, measure)
 
 
 def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
@@ -270,9 +271,8 @@ def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations)
     if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         return None
     slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    along = normal_force(contact_entries(problem, "normal"), found.meeting)
     across, felt = tangential_force(contact_entries(problem, "tangent"), found.meeting)
-    least = least_force(contact_entries(problem, "normal"), found.nothing.force)
+    along, least = normal_forces(contact_entries(problem, "normal"), found.meeting, found.nothing.force)
     return law_residual(answer, found, (slip, problem.friction), (along, across, felt), least)
 
 
@@ -290,8 +290,8 @@ def law_residual(
     answer : Answer
     found : the figures of the answer
     sliding : (m, d-1) and (m,) arrays, the slips [length] and the coefficients of friction
-    unit : three (m,) arrays, `normal_force` and what `tangential_force` returns
-    nothing : (m,) array, `least_force`: the contact forces up to which there is none
+    unit : three (m,) arrays, the first of `normal_forces` and what `tangential_force` returns
+    nothing : (m,) array, the second of `normal_forces`: contact forces up to which there is none
     """
     (slip, friction), (along, across, felt), least = sliding, unit, nothing
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
@@ -310,14 +310,15 @@ def law_residual(
     return beyond(missed, least * per_force)
 
 
-def normal_force(entries: ContactEntries, meeting: Vector) -> Vector:
-    """Return the l_N whose measure max_j |E_ij l_N| / F_j is one (m,); zero where no force meets."""
-    return np.where(entries.meets(meeting), reciprocal(entries.largest(entries.over(meeting))), 0.0)
+def normal_forces(entries: ContactEntries, meeting: Vector, none: Vector) -> tuple[Vector, Vector]:
+    """Return the l_N whose measure is one and the largest that is nothing, (m,) each.
 
-
-def least_force(entries: ContactEntries, none: Vector) -> Vector:
-    """Return the largest l_N that is at most `none` (n,) at every unknown of its contact (m,)."""
-    return reciprocal(entries.largest(ratio(abs(entries.values), none[entries.unknown])))
+    The first has max_j |E_ij l_N| / F_j = 1 and is zero where no force meets; the second is at most `none` (n,) at
+    every unknown of its contact.
+    """
+    nothing = entries.largest(ratio(abs(entries.values), none[entries.unknown]))
+    unit, meets = entries.largest(entries.over(meeting)), entries.meets(meeting)
+    return np.where(meets, reciprocal(unit), 0.0), reciprocal(nothing)
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, Mask]:

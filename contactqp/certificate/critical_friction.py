@@ -21,7 +21,7 @@ import numpy as np
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense, touched_unknowns
-from contactqp.linalg.delassus import ContactCompliance, ContactOperators, contact_compliance
+from contactqp.linalg.delassus import ContactOperators, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import ratio
 from contactqp.model.arguments import checked
@@ -188,14 +188,11 @@ def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFri
     mu = np.zeros(problem.contacts) if problem.friction is None else problem.friction
     cached = problem._computed.critical_friction
     if cached is None or not np.array_equal(cached._friction, mu):
-        cached = _made(problem, mu, contact_compliance(problem, condensation))
+        compliance = contact_compliance(problem, condensation)
+        cached = of_operator(compliance.W, mu, problem.contacts, floats=compliance.floats)
         problem._computed.critical_friction = cached
     found: CriticalFriction = cached
     return found
-
-
-def _made(problem: ContactProblem, mu: Vector, compliance: ContactCompliance) -> CriticalFriction:
-    return of_operator(compliance.W, mu, problem.contacts, floats=compliance.floats)
 
 
 def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:

@@ -168,12 +168,12 @@ def _sizes(
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
     hardly = None if problem.tangent is None else hardly_felt(*compliances(problem))
-    with_friction = problem.tangent is not None and problem.friction is not None
+    across = np.zeros(problem.contacts) if problem.friction is None else lengths_across(problem, elastic)
     sizes = Sizes(
         meeting=F,
         push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
         lengths=normal.lengths(moved) + abs(problem.gap),
-        tangential_lengths=lengths_across(problem, elastic) if with_friction else np.zeros(problem.contacts),
+        tangential_lengths=across,
         tie_lengths=tie_lengths,
         intrinsic_size=float(size.max(initial=0.0)),
     )

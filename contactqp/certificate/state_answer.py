@@ -242,13 +242,6 @@ class CondensedBodies:
         return rigid_rounding(self._problem, self._condensation.rigid, displacement)
 
 
-def own_compliances(problem: ContactProblem, along: Vector, across: Vector) -> tuple[Vector, Vector]:
-    """Return |E_i D|^2 of normal and tangential rows, (m,) each; of the bodies where a row touches nothing stiff."""
-    normal = row_sizes(problem, problem.normal).compliance
-    tangent = np.max(row_sizes(problem, problem.tangent).compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
-    return np.where(normal > 0, normal, along), np.where(tangent > 0, tangent, across)
-
-
 class _Comparison:
     """The comparison of one answer with the answers of combinations of states."""
 
@@ -256,14 +249,16 @@ class _Comparison:
         self._problem, self._answer, self._found = problem, answer, found
         self._bodies, self._width, self._frictional = bodies, bodies.width, bodies.frictional
         self._along, self._across = bodies.along, bodies.across
-        self._own = own_compliances(problem, self._along, self._across)
         self._slip = self.slip(answer.displacement)
+        # |E_i D|^2 of normal and tangential rows, and of the bodies where a row touches nothing stiff.
+        normal, along = row_sizes(problem, problem.normal).compliance, row_sizes(problem, problem.tangent)
+        tangent = np.max(along.compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
+        self._own = np.where(normal > 0, normal, self._along), np.where(tangent > 0, tangent, self._across)
         given = np.zeros_like(self._slip) if answer.friction_force is None else answer.friction_force
-        self.friction, self._dragged = given, lengths(given)
+        self.friction, self._dragged, self._slipped = given, lengths(given), lengths(self._slip)
         self.still = lengths(found.nothing.tangent.reshape(-1, self._width))  # slips (m,) up to which there is none
         # Along a tangent whose unknowns are all supported any friction would do.
-        moved = row_sizes(problem, problem.tangent).lengths(np.ones(problem.dimension))
-        self._felt = moved.reshape(problem.contacts, -1) > 0
+        self._felt = along.lengths(np.ones(problem.dimension)).reshape(problem.contacts, -1) > 0
         self.redundant = False  # whether the combination that was compared with has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
         self.compared: Compared | None = None
@@ -280,7 +275,7 @@ class _Comparison:
         if not slides.any() or (found is not None and max(found.relative(nothing).values()) <= tolerance):
             return found, reason
         kept = self.redundant, self.displacement, self.compared
-        sliding = np.where(slides, self._sliding(lengths(self._slip)), believed).astype(np.int8)
+        sliding = np.where(slides, self._sliding(), believed).astype(np.int8)
         other, _ = self._nearest_from(sliding, tolerance, nothing)
         if other is not None and max(other.relative(nothing).values()) <= tolerance:
             return other, None
@@ -295,15 +290,17 @@ class _Comparison:
             refined = self._bodies.refined(status, self._answer)
             if not refined.regular:
                 return None, SINGULAR
+            moved, _ = energy_norm(self._problem, refined.last.displacement)
             strain, _ = energy_norm(self._problem, refined.displacement)
+            reached = refined.displacement.double()
             signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
             distance = self._distance(refined, signs, strain)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
-            last = self._last_correction(refined)
+            last = self._last_correction(refined, moved)
             if not last <= max(SETTLED * limit, nothing):
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
-                self.redundant, self.displacement = refined.redundant, refined.displacement.double()
+                self.redundant, self.displacement = refined.redundant, reached
                 self.compared = self._beside(refined, status, distance, last)
                 return distance, None
             status = signs.changed(status)
@@ -315,32 +312,31 @@ class _Comparison:
         (moved, strain), (pushed, _) = distance.displacement, distance.force
         return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size)
 
-    def _last_correction(self, refined: RefinedState) -> float:
-        """Return the size of the last correction of the refinement [square root of energy]."""
-        moved, dragged = energy_norm(self._problem, refined.last.displacement)[0], refined.last.friction_force
-        assert dragged is not None
-        return float(np.hypot(moved, self._bodies.response_norm(refined.last.normal_force, dragged)))
+    def _last_correction(self, refined: RefinedState, moved: float) -> float:
+        """Return the size of the last correction, whose displacement has the energy norm `moved` [root of energy]."""
+        pushed = self._bodies.response_norm(refined.last.normal_force, refined.last.friction_force)
+        return float(np.hypot(moved, pushed))
 
     def _believed(self) -> Status:
         """Return the states (m,): closed where the force as a length exceeds the gap, slipping where slip exceeds room.
 
         Room is the difference of friction from its bound, as a length.
         """
-        force, gap, size = self._answer.normal_force, self._found.gap, lengths(self._slip)
+        force, gap, size = self._answer.normal_force, self._found.gap, self._slipped
         room = self.coefficient * np.maximum(force, 0.0) - self._dragged
         # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
         moved = np.where(size > self.still, size, 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
-        status = np.where(sticks & self._frictional, STICK, self._sliding(size))
+        status = np.where(sticks & self._frictional, STICK, self._sliding())
         # Where ties hold all that a contact touches it is closed by its force, and its gap by nothing.
         closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & (gap <= self._found.nothing.normal))
         return np.where(closed, status, OPEN).astype(np.int8)
 
-    def _sliding(self, size: Vector) -> Status:
-        """Return the slip states (m,) along slips of these sizes (m,), or along friction; in space all are SLIP_ON."""
+    def _sliding(self) -> Status:
+        """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
         if self._width > 1:
-            return np.full(len(size), SLIP_ON, dtype=np.int8)
-        direction = np.where(size > self.still, self._slip[:, 0], self.friction[:, 0])
+            return np.full(len(self._slip), SLIP_ON, dtype=np.int8)
+        direction = np.where(self._slipped > self.still, self._slip[:, 0], self.friction[:, 0])
         return np.where(direction < 0, SLIP_BACK, SLIP_ON).astype(np.int8)
 
     @cached_property

@@ -129,7 +129,7 @@ class IteratedBodies:
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
         """Solve a combination by GMRES from a start; in space the slip directions turn with the answer."""
-        from contactqp.linalg.friction_states import RefinedState
+        from contactqp.linalg.friction_states import Correction, RefinedState
 
         assert start.friction_force is not None
         here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
@@ -140,7 +140,7 @@ class IteratedBodies:
                 raise BackendFailed(FAR)
             system = CombinationSystem(self._rows, states)
             found = system.answer(system.solved(system.closed(here.displacement), ROUNDING_OF_FIGURES, ENERGY, left))
-            last = Answer(
+            last = Correction(
                 found.displacement - here.displacement,
                 found.normal_force - here.normal_force,
                 found.friction_force - here.friction_force,

@@ -16,8 +16,7 @@ from contactqp.certificate.coulomb_law import (
     friction_measure,
     hardly_felt,
     law_residual,
-    least_force,
-    normal_force,
+    normal_forces,
     rounded_slips,
     slips_that_are_nothing,
     tangential_force,
@@ -175,8 +174,8 @@ def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violati
         return None
     normal, tangent = (entries_of(rows.entries, problem.contacts) for rows in (problem.normal, problem.tangent))
     meeting = problem.normal.at_touched(found.meeting)
-    measures = (normal_force(normal, meeting), *tangential_force(tangent, problem.tangent.at_touched(found.meeting)))
-    least = least_force(normal, problem.normal.at_touched(found.nothing.force))
+    along, least = normal_forces(normal, meeting, problem.normal.at_touched(found.nothing.force))
+    measures = (along, *tangential_force(tangent, problem.tangent.at_touched(found.meeting)))
     return law_residual(answer, found, (data.slip, data.friction), measures, least)
 
 

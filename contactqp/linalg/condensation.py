@@ -88,10 +88,9 @@ class Condensation:
         self.factorisations = 0
         self._spent = 0  # half back-substitutions of eliminations that were given up
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
-        self._sparse = problem.stiffness_rows
-        self._diagonal = problem.diagonal
-        touched = touched_unknowns(problem)
+        self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
         self.unknown_scale = unknown_scale(problem)
+        touched = touched_unknowns(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
         floats = stated.motions.shape[1] > 0

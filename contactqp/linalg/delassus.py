@@ -122,7 +122,8 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     if len(scale):
         S = condensation.schur * (scale[:, None] * scale)
         factor = DenseCholesky(S + tie.T @ tie + Z @ Z.T)
-    size = np.sqrt(_diagonal(rows[:, 0], factor))
+    normal = rows[:, 0]
+    size = np.sqrt(np.einsum("ij,ji->i", normal, normal.T if factor is None else factor.solve(normal.T)))
     size = np.where(size > 0, size, 1.0)
     R = (rows / size[:, None, None]).reshape(m * (1 + width), -1)
     C = np.vstack([tie, -Z.T])
@@ -147,10 +148,6 @@ def _regular_inverse(J: Array, ties: int) -> Array | None:
     if np.any(abs(vectors[ties:, ~kept]) > np.sqrt(FLOATING)):
         return None
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
-
-
-def _diagonal(rows: Array, factor: DenseCholesky | None) -> Vector:
-    return np.asarray(np.einsum("ij,ji->i", rows, rows.T if factor is None else factor.solve(rows.T)))
 
 
 def _lengths(rows: Array) -> Array:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -56,25 +56,29 @@ class ScaledRows(Protocol):
     coefficient: Vector
 
 
+class Correction(NamedTuple):
+    """Changes of displacements and forces; that of friction is of sticking contacts."""
+
+    displacement: Vector  # (n,)
+    normal_force: Vector  # (m,)
+    friction_force: Array  # (m, d-1)
+    tie_force: Vector  # (k,)
+
+
 class Corrections(Protocol):
     """The factorised system of one combination; attributes are those of `StateSystem`."""
 
     regular: bool
     redundant: bool
 
-    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
-        """Return the corrections that residuals of the full problem call for.
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Correction:
+        """Return the correction that residuals of the full problem call for.
 
         Parameters
         ----------
         load : (n,) array [force], what is out of balance
         gap, slip, tie : (m,), ((d-1) m,), (k,) arrays [length]
             What gaps, slips and ties miss; those of open contacts and of slips that are free do not count.
-
-        Returns
-        -------
-        du, dl_N, dl_T, dnu : (n,), (m,), (m, d-1), (k,) arrays
-            Of displacements and forces; dl_T is that of sticking contacts.
         """
 
 
@@ -191,10 +195,8 @@ class StateSystem:
             self._singular = matrix
         self._factor = (factor, pivots)
 
-    def correct(
-        self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False
-    ) -> tuple[Vector, Vector, Array, Vector]:
-        """Return the corrections of `Corrections.correct`, or those of the transposed system.
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector, transposed: bool = False) -> Correction:
+        """Return the correction of `Corrections.correct`, or that of the transposed system.
 
         Parameters
         ----------
@@ -213,9 +215,9 @@ class StateSystem:
         forces, end = np.zeros(len(lengths)), m * (1 + rows.width)
         forces[self._acting] = found[p:q] / self._units
         du = self._condensation.expand(found[:p] * rows.scale, inner)
-        return du, forces[:m], forces[m:end].reshape(m, rows.width), forces[end:]
+        return Correction(du, forces[:m], forces[m:end].reshape(m, rows.width), forces[end:])
 
-    def unresolved(self) -> list[tuple[Vector, Vector, Array, Vector]]:
+    def unresolved(self) -> list[Correction]:
         """Return a basis of what may be added to the solutions of a system without inverse, each as `correct` does."""
         values, right = right_singular(self._singular)
         free, rows, m, p = right[np.sum(values > SINGULAR * values[0]) :], self._rows, self._contacts, self._size
@@ -225,7 +227,7 @@ class StateSystem:
         forces = np.zeros((len(free), end + len(rows.tie)))
         forces[:, self._acting] = free[:, p : p + len(self._acting)] / self._units
         along = forces[:, m:end].reshape(-1, m, rows.width)
-        return list(zip(moved, forces[:, :m], along, forces[:, end:], strict=True))
+        return [Correction(*one) for one in zip(moved, forces[:, :m], along, forces[:, end:], strict=True)]
 
 
 def _unresisted(motions: Array, held: Array) -> Array:
@@ -264,7 +266,7 @@ class RefinedState:
     friction_force: Extended  # (m (d-1),)
     tie_force: Extended  # (k,)
     directions: Array  # (m, d-1) of slip
-    last: Answer  # the last correction
+    last: Correction
     regular: bool  # whether every system on the way had an inverse
     redundant: bool  # whether forces of contacts or ties that depend on others were kept as they were
 
@@ -374,7 +376,8 @@ def refined_by(
             left = replace(left, force=left.force - exact.friction_force(friction - given.ravel()))
         if not in_space:
             slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
-        du, dl, dt, dn = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
+        correction = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
+        du, dl, dt, dn = correction
         change = np.concatenate([du, dn, dl, dt.ravel()])
         x = x + change
         whole = x.double()
@@ -395,7 +398,7 @@ def refined_by(
         left = None
     u, tie, force, stick = x.parted(*ends)
     friction = stick + force.spread(coefficients * directions)
-    return RefinedState(u, force, friction, tie, directions, Answer(du, dl, dt, dn), regular, system.redundant)
+    return RefinedState(u, force, friction, tie, directions, correction, regular, system.redundant)
 
 
 def answer_in(

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 
 from contactqp.linalg import pardiso
 from contactqp.linalg.equilibration import scaled_by
-from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, refined_by
+from contactqp.linalg.friction_states import MAX_SWEEPS, Correction, RefinedState, refined_by
 from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS
 from contactqp.model.arrays import Array, Indices, Vector
@@ -162,7 +162,7 @@ class StateSystem(ABC):
         response = np.concatenate(self._once(*(random.uniform(0.5, 1.0, size) for size in sizes)))
         return bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
 
-    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> tuple[Vector, Vector, Array, Vector]:
+    def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Correction:
         """Return du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts and dnu (k,) from residuals of the problem.
 
         Parameters
@@ -174,7 +174,7 @@ class StateSystem(ABC):
         lengths = (gap / rows.normal_length, slip / rows.tangent_length, tie / rows.tie_length)
         moved, pushing, sticking, tied = self._solve(load * rows.scale, *lengths)
         friction_force = (sticking / rows.tangent_length)[:, None]
-        return (moved * rows.scale, pushing / rows.normal_length, friction_force, tied / rows.tie_length)
+        return Correction(moved * rows.scale, pushing / rows.normal_length, friction_force, tied / rows.tie_length)
 
     def response_norm(self, load: Vector) -> float:
         """Return the energy norm of the response to a load (n,) with all constrained lengths held at zero."""

@@ -52,7 +52,9 @@ from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, algorith
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
-def solve_associated(problem: ContactProblem, method: Method, settings: Settings) -> tuple[Answer, str]:
+def solve_associated(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+) -> tuple[Answer, str]:
     """Solve the associated relaxation, in the plane by `method` and in space by Clarabel; return its answer and name.
 
     Raises
@@ -68,10 +70,10 @@ def solve_associated(problem: ContactProblem, method: Method, settings: Settings
         raise Unsupported(f"{method.name}: the associated relaxation takes an exact method")
     if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
         try:
-            answer = relaxed_in_space(problem, condense(problem))
+            answer = relaxed_in_space(problem, condensation)
         except NotConverged:
-            refuse_conflict(problem, condense(problem))
-            refuse_driven_motion(problem, condense(problem).rigid)
+            refuse_conflict(problem, condensation)
+            refuse_driven_motion(problem, condensation.rigid)
             raise
         return answer, "associated friction law by clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
@@ -90,8 +92,10 @@ NOISE = 1e-15
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
     """Return an orthonormal basis (n, q) of the rigid motions that move no pushing contact and no tie."""
+    if not condensation.rigid.count:
+        return condensation.rigid.motions
     basis = condensation.rigid.basis
-    if not basis.shape[1] or problem.tangent is None or problem.friction is None:
+    if problem.tangent is None or problem.friction is None:
         return basis
     pushes = answer.normal_force > 0
     rows = sp.vstack(
@@ -163,6 +167,10 @@ _FACTORISE = "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso)
 ENERGY = 1e-10
 
 
+# Algorithms refine what they find: a run of theirs asks nothing of the convex method, and any will do.
+REFINED = find(DEFAULT_METHOD)
+
+
 class FrictionRun(Run):
     """One answer to a frictional problem, refined to the last digits by the algorithm that found it.
 
@@ -175,6 +183,7 @@ class FrictionRun(Run):
     history : tuple of float, the algorithm's own measure of progress, one number an iteration
     iterations : of the algorithm; without it one more than the history has
     exact : bool, whether the algorithm promises Coulomb's answer; the associated relaxation does not
+    condensation : Condensation, that of the problem; formed where it is needed if none is given
     """
 
     def __init__(
@@ -186,9 +195,10 @@ class FrictionRun(Run):
         history: tuple[float, ...] = (),
         iterations: int | None = None,
         exact: bool = True,
+        condensation: Condensation | None = None,
     ) -> None:
-        super().__init__(problem, find(DEFAULT_METHOD))
-        self.name, self.exact, self._answer = name, exact, answer
+        super().__init__(problem, REFINED)
+        self.name, self.exact, self._answer, self._condensation = name, exact, answer, condensation
         self.meter = meter or self.meter
         steps = len(history) + 1 if iterations is None else iterations
         self.candidate = Candidate(
@@ -197,7 +207,7 @@ class FrictionRun(Run):
 
     def final(self) -> Final:
         """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
-        condensation = self.problem._computed.condensation or condense(self.problem)
+        condensation = self._condensation or condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
         return Final(
@@ -334,62 +344,71 @@ def run_friction(
             return SparseFrictionRun(problem, settings)
     meter = Meter(problem)
     with meter.running():
-        if (rigid := condense(problem).rigid).count:
-            refuse_driven_motion(problem, rigid)
-    if algorithm == "associated":
-        return _relaxed(problem, method, settings, meter)
-    if algorithm == "enumeration":
-        return _only(problem)
-    if algorithm is None or ALGORITHMS[algorithm].convex:
-        _refuse_method(method)
-    if algorithm is not None:
-        return _by(ALGORITHMS[algorithm], problem, method, settings, meter)
-    if _in_space(problem):
-        convex = ALGORITHMS["aclm"] if method.name != DEFAULT_METHOD else None
-        return _by(convex, problem, method, settings, meter)
-    return _by_any(problem, method, settings, meter)
+        condensation = condense(problem)
+        if condensation.rigid.count:
+            refuse_driven_motion(problem, condensation.rigid)
+        if algorithm == "associated":
+            answer, name = solve_associated(problem, condensation, method, settings)
+            return FrictionRun(problem, answer, name, meter, exact=False, condensation=condensation)
+        if algorithm == "enumeration":
+            return _only(problem, condensation)
+        if algorithm is None or ALGORITHMS[algorithm].convex:
+            _refuse_method(method)
+        if algorithm is not None:
+            return _by(ALGORITHMS[algorithm], problem, condensation, method, settings, meter)
+        if _in_space(problem):
+            convex = ALGORITHMS["aclm"] if method.name != DEFAULT_METHOD else None
+            return _by(convex, problem, condensation, method, settings, meter)
+        return _by_any(problem, condensation, method, settings, meter)
 
 
-def _by_any(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
+def _by_any(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, meter: Meter
+) -> FrictionRun:
     """Return the first answer that is found in the plane: from a start by Newton's method, else by the others."""
     if settings.warm_start is not None:
         with suppress(NotConverged):
-            return _by(ALGORITHMS["newton"], problem, method, settings, meter)
+            return _by(ALGORITHMS["newton"], problem, condensation, method, settings, meter)
     few = problem.contacts <= FEW_CONTACTS
     steps = settings
     if settings.max_iter is None and problem.contacts <= MOST_CONTACTS:
         steps = replace(settings, max_iter=STEPS_BEFORE_LISTING)
     try:
-        return _by(TRESCA_AT_ONCE, problem, method, steps, meter)
+        return _by(TRESCA_AT_ONCE, problem, condensation, method, steps, meter)
     except NotConverged as error:
         if few:
             with suppress(NotConverged):
-                return _listed(problem)[0]
+                return _listed(problem, condensation)[0]
         with suppress(NotConverged):
-            return _by(None, problem, method, settings, meter)
+            return _by(None, problem, condensation, method, settings, meter)
         if few or problem.contacts > MOST_CONTACTS:
             raise error from None
-    return _listed(problem)[0]
+    return _listed(problem, condensation)[0]
 
 
 def _by(
-    algorithm: Algorithm | None, problem: ContactProblem, method: Method, settings: Settings, meter: Meter
+    algorithm: Algorithm | None,
+    problem: ContactProblem,
+    condensation: Condensation,
+    method: Method,
+    settings: Settings,
+    meter: Meter,
 ) -> FrictionRun:
     """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
-    condensation = problem._computed.condensation or condense(problem)
     if settings.time_limit is not None:
         settings = settings.now
-    with meter.running():
-        try:
-            if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
-                found: Any = algorithm.on_bodies(problem, condensation, method, settings)
-            else:
-                name = None if algorithm is None else algorithm.name
-                found = solve_on_contacts(problem, condensation, method, settings, name)
-        except NotConverged:
-            refuse_conflict(problem, condensation)
-            raise
-    return FrictionRun(problem, found.answer, found.name, meter, found.history, found.iterations)
+    try:
+        if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
+            found: Any = algorithm.on_bodies(problem, condensation, method, settings)
+        else:
+            name = None if algorithm is None else algorithm.name
+            found = solve_on_contacts(problem, condensation, method, settings, name)
+    except NotConverged:
+        refuse_conflict(problem, condensation)
+        raise
+    return FrictionRun(
+        problem, found.answer, found.name, meter, found.history, found.iterations, condensation=condensation
+    )
 
 
 def run_on_combination(
@@ -430,18 +449,18 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     return tuple(FrictionRun(problem, one.answer, "enumeration", meter) for one in found)
 
 
-def _listed(problem: ContactProblem) -> tuple[FrictionRun, ...]:
+def _listed(problem: ContactProblem, condensation: Condensation) -> tuple[FrictionRun, ...]:
     """Return every equilibrium of a small problem; raise where there is none."""
     found = found_by_enumeration(problem)
     if not found:
-        refuse_conflict(problem, condense(problem))
+        refuse_conflict(problem, condensation)
         _refuse_unproven(problem)
         raise NoEquilibrium(NONE_AT_ALL)
     return found
 
 
-def _only(problem: ContactProblem) -> FrictionRun:
-    found = _listed(problem)
+def _only(problem: ContactProblem, condensation: Condensation) -> FrictionRun:
+    found = _listed(problem, condensation)
     if len(found) > 1:
         listed = "; ".join(_described(problem, one) for one in found)
         raise SeveralEquilibria(SEVERAL.format(len(found), listed))
@@ -475,12 +494,6 @@ def _refuse_method(method: Method) -> None:
         raise Unsupported(
             f"{method.name}: the convex steps of Coulomb friction have a singular stiffness; try active-set"
         )
-
-
-def _relaxed(problem: ContactProblem, method: Method, settings: Settings, meter: Meter) -> FrictionRun:
-    with meter.running():
-        answer, name = solve_associated(problem, method, settings)
-    return FrictionRun(problem, answer, name, meter, exact=False)
 
 
 def _in_space(problem: ContactProblem) -> bool:

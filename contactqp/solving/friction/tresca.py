@@ -43,16 +43,6 @@ SETTLED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class TrescaAnswer:
-    """Coulomb's answer, and how the bounds came to it."""
-
-    answer: Answer
-    status: Status
-    steps: int
-    changes: tuple[float, ...]  # of the bounds, relative, one a step
-
-
-@dataclass(frozen=True, eq=False)
 class _Step:
     """The answer to one Tresca problem, scaled."""
 
@@ -65,20 +55,6 @@ class _Step:
 def tresca_on_bodies(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
 ) -> FoundOnBodies:
-    """Return the answer of `solve_tresca`.
-
-    Parameters
-    ----------
-    problem, condensation, method, settings, at_once
-        As in `solve_tresca`.
-    """
-    found = solve_tresca(problem, condensation, method, settings, at_once)
-    return FoundOnBodies(found.answer, algorithm_name("tresca", method.name), found.changes)
-
-
-def solve_tresca(
-    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, at_once: bool = False
-) -> TrescaAnswer:
     """Find Coulomb's answer by steps of a convex method with the friction bounds of the step before.
 
     `settings.max_iter` counts Tresca problems; `settings.time_limit` is for all of them. The first bound is that of
@@ -99,13 +75,13 @@ def solve_tresca(
     NotConverged
         The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
     """
-    run = _Run(problem, condensation, method, settings)
+    run, name = _Run(problem, condensation, method, settings), algorithm_name("tresca", method.name)
     bound, slippery = run.first_bound()
     if at_once and slippery is not None and _has_one_answer(problem, condensation):
         status = run.suggested(slippery, bound)
         answer = run.answer_in(status, slippery)
         if holds(problem, answer):
-            return TrescaAnswer(answer, status, 1, ())
+            return FoundOnBodies(answer, name)
     changes: list[float] = []
     relaxation = RELAXATION[1]
     before: Vector | None = None
@@ -132,7 +108,7 @@ def solve_tresca(
             tried[status.tobytes()] = change
             answer = run.answer_in(status, found)
             if holds(problem, answer):
-                return TrescaAnswer(answer, status, step, tuple(changes))
+                return FoundOnBodies(answer, name, tuple(changes))
         changes.append(change)
         if changes[-1] <= SETTLED:
             raise NotConverged(
@@ -176,7 +152,7 @@ class _Run:
         if self._start is not None:
             return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0), None
         try:
-            found = self.with_bound(np.zeros(self._problem.contacts))
+            found = self._without_friction()
             return self.bound_of(found), found
         except NoEquilibrium:
             pass
@@ -187,6 +163,15 @@ class _Run:
             raise NotConverged(
                 "tresca: neither without friction nor with all contacts stuck are the bodies held"
             ) from error
+
+    def _without_friction(self) -> _Step:
+        """Return the answer without friction: that of the problem as it is condensed, where the method takes that."""
+        condensed, rows = self._method.solve_condensed, self._rows
+        if condensed is None or self._condensation.rigid.count:
+            return self.with_bound(np.zeros(self._problem.contacts))
+        found = condensed(self._problem, self._condensation, self._limited())
+        normal, tie = found.normal_force * rows.normal_length, found.tie_force * rows.tie_length
+        return _Step(found.displacement / rows.scale, normal, np.zeros(len(normal)), tie)
 
     def bound_of(self, step: _Step) -> Vector:
         """Return the friction bounds mu l_N (m,) of a step, scaled."""
@@ -228,20 +213,24 @@ class _Run:
 
         The last `added` unknowns have no stiffness.
         """
-        settings, limit = self._settings, self._settings.time_limit
-        if limit is not None:
-            left = limit - (time.perf_counter() - self._began)
-            if left <= 0:
-                raise NotConverged(f"tresca: stopped at the time limit of {stated_limit(limit)}")
-            settings = replace(settings, time_limit=left)
         rigid = RigidMotions(_block_diagonal(self._rows.motions, np.eye(added)), self._condensation.rigid.softest)
         scale = np.ones(inner.dimension)
         condensation = Condensation.of_condensed(inner, rigid, scale)
         inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
         if condensation.rigid.count:
             refuse_driven_motion(inner, condensation.rigid)
-        candidate = solve_convex(self._method, inner, settings)
+        candidate = solve_convex(self._method, inner, self._limited())
         return candidate.displacement, candidate.normal_force, candidate.tie_force
+
+    def _limited(self) -> Settings:
+        """Return the settings of a convex problem with the time that is left; raise NotConverged where none is."""
+        limit = self._settings.time_limit
+        if limit is None:
+            return self._settings
+        left = limit - (time.perf_counter() - self._began)
+        if left <= 0:
+            raise NotConverged(f"tresca: stopped at the time limit of {stated_limit(limit)}")
+        return replace(self._settings, time_limit=left)
 
     def suggested(self, step: _Step, bound: Vector) -> Status:
         """Closed where l_N > gap, sliding where |l_T + s| exceeds the bound: lengths and forces are both in

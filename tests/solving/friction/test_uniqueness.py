@@ -371,9 +371,10 @@ def test_other_answers_are_looked_for_once_a_problem_and_anew_for_another_load(m
 
 
 def tresca_problems(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Counts of the sliding bounds of every Tresca problem that is solved from now on."""
+    """Counts of the sliding bounds of every convex problem that is solved from now on; 0 is that without friction."""
     solved: list[int] = []
-    convex = tresca._Run._convex_answer
+    convex, first = tresca._Run._convex_answer, tresca._Run._without_friction
+    monkeypatch.setattr(tresca._Run, "_without_friction", lambda self: solved.append(0) or first(self))
     monkeypatch.setattr(
         tresca._Run, "_convex_answer", lambda self, *given: solved.append(given[1]) or convex(self, *given)
     )
