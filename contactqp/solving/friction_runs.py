@@ -52,7 +52,7 @@ from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, algorith
 from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
 
 
-def solve_associated(
+def _associated(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
 ) -> tuple[Answer, str]:
     """Solve the associated relaxation, in the plane by `method` and in space by Clarabel; return its answer and name.
@@ -348,7 +348,7 @@ def run_friction(
         if condensation.rigid.count:
             refuse_driven_motion(problem, condensation.rigid)
         if algorithm == "associated":
-            answer, name = solve_associated(problem, condensation, method, settings)
+            answer, name = _associated(problem, condensation, method, settings)
             return FrictionRun(problem, answer, name, meter, exact=False, condensation=condensation)
         if algorithm == "enumeration":
             return _only(problem, condensation)
