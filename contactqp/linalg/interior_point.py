@@ -462,12 +462,13 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
     if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
         return None
     across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
-    for _ in range(PROJECTIONS):
+    for passed in range(PROJECTIONS):
         left = (across @ extend(weights)).double()
         taken = np.where(left > 0, bounds[0], np.where(left < 0, bounds[1], np.minimum(*bounds)))
         part = sp.csc_matrix(sp.diags(abs(weights)) @ rows).T
         part.eliminate_zeros()
-        kept = np.flatnonzero((taken < 0) & (np.diff(part.indptr) > 0))
+        entries = np.diff(part.indptr)
+        kept = np.flatnonzero((entries > 1) if passed else (taken < 0) & (entries > 0))
         if not np.any(left[kept]):
             break
         try:

@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
+from contactqp.linalg import existence
 from tests.solving.test_linear_programs import transport
 
 
@@ -230,3 +232,48 @@ def test_units_change_nothing(factor: float) -> None:
     first, second = cq.solve(problem), cq.solve(other)
     assert second.certificate.passed
     assert second.energy == pytest.approx(first.energy * factor**3, rel=1e-12)
+
+
+def heated_from_its_border(cells: int, capped_by: float) -> cq.ContactProblem:
+    """-Laplace u = 20 in a square, u >= 0 on its border, u within it capped by so much below the least that can be."""
+    nodes = cells + 1
+    at = np.arange(nodes * nodes).reshape(nodes, nodes)
+    inner = at[1:-1, 1:-1].ravel()
+    beside = [at[:-2, 1:-1], at[2:, 1:-1], at[1:-1, :-2], at[1:-1, 2:]]
+    rows = np.tile(np.arange(len(inner)), 5)
+    columns = np.concatenate([inner, *(part.ravel() for part in beside)])
+    values = np.repeat([4.0, -1.0, -1.0, -1.0, -1.0], len(inner))
+    tie = sp.csc_matrix((values, (rows, columns)), shape=(len(inner), nodes * nodes))
+    heat = np.full(len(inner), 20.0 / cells**2)
+    least = spsolve(tie[:, inner], heat)
+    inside = np.isin(at.ravel(), inner)
+    below, above = np.where(inside, -np.inf, 0.0), np.where(inside, np.max(least) - capped_by, 10.0)
+    K = sp.diags(np.where(inside, 1.0, 1e-4 * cells) / cells**2, format="csr")
+    return cq.ContactProblem.from_qp(K, np.zeros(nodes * nodes), A=tie, b=heat, lb=below, ub=above)
+
+
+@pytest.mark.parametrize("capped_by", [0.27, 1.1e-5])
+@pytest.mark.parametrize(
+    "method", ["active-set", *(pytest.param(x, marks=pytest.mark.slow) for x in ("piqp", "clarabel"))]
+)
+def test_ten_thousand_constraints_that_conflict_are_refused_without_a_linear_program(
+    method: str, capped_by: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It took half a minute where there are thirty thousand."""
+    monkeypatch.setattr(existence, "_least_excess", None)
+    problem = heated_from_its_border(75, capped_by)
+    with pytest.raises(cq.NoEquilibrium, match="no displacement satisfies these constraints together") as error:
+        cq.solve(problem, method)
+    proof = error.value.proof
+    assert isinstance(proof, existence.Conflict)
+    assert np.all(proof.normal >= 0)
+    moved = problem.normal.T @ proof.normal + problem.tie.T @ proof.tie
+    sizes = abs(problem.normal).T @ proof.normal + abs(problem.tie).T @ abs(proof.tie)
+    assert np.max(abs(moved) - 1e-14 * sizes) <= 0
+    overlap = -(problem.gap @ proof.normal + problem.tie_value @ proof.tie)
+    assert overlap == pytest.approx(proof.excess, rel=1e-6)
+    assert overlap > 100 * proof.rounding
+
+
+def test_ten_thousand_constraints_that_nearly_conflict_are_met() -> None:
+    assert cq.solve(heated_from_its_border(75, -1e-5)).certificate.proven
