@@ -412,7 +412,7 @@ class _Frictional:
         self._problem, self._shape = problem, shape_of_tangents(problem)
         slip = answer.tangent.ravel()
         self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
-        self._system = StateSystem(problem, condensation, rows, status, self.directions, scaled)
+        self._system = StateSystem(condensation, rows, status, self.directions, scaled)
         self.regular = self._system.regular
         across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
         turns = np.zeros(self._shape[0])

@@ -33,7 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import DenseCholesky, orthonormal_motions
+from contactqp.linalg.dense import REGULAR, DenseCholesky, orthonormal_motions
 from contactqp.linalg.extended import Extended, SparseRows, extend
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.runtime import lapack
@@ -259,6 +259,7 @@ class FrictionalRows:
     ----------
     S : (p, p) array, the condensed stiffness, its diagonal one
     normal, tangent, tie : (m, p), ((d-1) m, p), (k, p) arrays, rows of unit length, tangents contact by contact
+    all_rows : (d m + k, p) array, one after the other
     width : int, d-1, tangential rows a contact
     slides : (m,) array of bool
         Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
@@ -280,19 +281,25 @@ class FrictionalRows:
         self.tangent = tangent / np.repeat(self.tangent_length, self.width)[:, None]
         self.slides = np.any(of_contacts != 0, axis=1)
         self.tie, self.tie_length = _unit(condensation.tie * self.scale)
+        self.all_rows = np.vstack([self.normal, self.tangent, self.tie])
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         self.motions = orthonormal_motions(condensation)
         self.system: dict[bool, Any] = {}  # the last one, by whether its rows were made independent
 
     @cached_property
-    def all_rows(self) -> Array:
-        """The rows of contacts, tangents and ties (d m + k, p)."""
-        return np.vstack([self.normal, self.tangent, self.tie])
-
-    @cached_property
     def compliance(self) -> Array:
         """The pseudoinverse S^+ (p, p): the inverse of S, zero on the rigid motions."""
         return compliance_of(self.S, self.motions)
+
+    @cached_property
+    def response(self) -> Array:
+        """S^+ R' (p, d m + k): the displacements that a unit of each force makes."""
+        return np.asarray(self.compliance @ self.all_rows.T)
+
+    @cached_property
+    def W(self) -> Array:
+        """R S^+ R' (d m + k, d m + k)."""
+        return np.asarray(self.all_rows @ self.response)
 
     def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:
         """Return scaled gaps (m,), slip origins ((d-1) m,) and tie values (k,)."""
@@ -316,3 +323,83 @@ def _unit(rows: Array) -> tuple[Array, Vector]:
     length = np.linalg.norm(rows, axis=1)
     length = np.where(length > 0, length, 1.0)
     return rows / length[:, None], length
+
+
+@dataclass(frozen=True, eq=False)
+class AcrossSlips:
+    """Rows across the directions of slip in space, combined of the two tangential rows of each contact."""
+
+    contacts: Indices  # (a,)
+    rows: Array  # (a, d-1)
+    compliance: Vector  # (a,) |s| / mu l_N of the forces along them
+
+
+# In the plane no slip turns.
+NONE_ACROSS = AcrossSlips(np.zeros(0, dtype=np.intp), np.zeros((0, 1)), np.zeros(0))
+
+
+def across_slips(directions: Array, turning: Vector) -> AcrossSlips:
+    """Return the rows across directions of slip (m, 2), of contacts at which mu l_N / |s| (m,) is positive.
+
+    Where bodies move far under small forces the compliances are large: then both are scaled to one.
+    """
+    moving = np.flatnonzero(turning > 0)
+    left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
+    scale = np.sqrt(np.minimum(turning[moving], 1.0))
+    return AcrossSlips(moving, scale[:, None] * left, 1.0 / np.maximum(turning[moving], 1.0))
+
+
+class ReducedStates:
+    """The system of a combination (`contactqp.linalg.friction_states`) by its Schur complement on the forces.
+
+    With rows H = B R of what is held and P = A R of what is pushed, combined of the rows R of all contacts and ties,
+    and the compliances C of forces across slips,
+
+        [ S  P' ] [ x ]   [ r ]
+        [ H  -C ] [ l ] = [ e ],    (B W A' + C) l = H S^-1 r - e,    x = S^-1 (r - P'l),    W = R S^-1 R',
+
+    for bodies that do not float; W is formed once for all combinations.
+
+    Attributes
+    ----------
+    regular : bool, whether the reciprocal condition of the complement is at least `REGULAR`
+
+    Parameters
+    ----------
+    rows : FrictionalRows
+    acting : (q,) array of int, the rows of R that are held
+    directions : (m, d-1) array, of slip; zero where a contact does not slip
+    across : AcrossSlips
+    """
+
+    def __init__(self, rows: FrictionalRows, acting: Indices, directions: Array, across: AcrossSlips) -> None:
+        m, q, a = len(rows.normal), len(acting), len(across.contacts)
+        along = m + np.arange(len(rows.tangent)).reshape(m, rows.width)
+        own, crossed, of = np.arange(q), q + np.arange(a), across.contacts
+        pushing = acting[acting < m]
+        drag = rows.coefficient[pushing, None] * directions[pushing]
+        held = [(np.ones(q), own, acting), (across.rows.ravel(), crossed.repeat(rows.width), along[of].ravel())]
+        pushed = [*held, (drag.ravel(), own[: len(pushing)].repeat(rows.width), along[pushing].ravel())]
+        self._rows = rows
+        self._held, self._pushed = (_combined(parts, (q + a, len(rows.all_rows))) for parts in (held, pushed))
+        matrix = np.asarray(self._pushed @ (self._held @ rows.W).T).T
+        matrix[crossed, crossed] += across.compliance
+        self.regular = len(matrix) > 0
+        if self.regular:
+            factor, pivots, info = lapack().dgetrf(matrix)
+            self.regular = info == 0 and bool(lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0] >= REGULAR)
+            self._factor = factor, pivots
+
+    def solve(self, right: Vector, transposed: bool) -> Vector:
+        """Return x and l of right-hand sides r and e, one after the other, or those of the transposed system."""
+        rows, p = self._rows, len(self._rows.S)
+        held, pushed = (self._pushed, self._held) if transposed else (self._held, self._pushed)
+        x = rows.compliance @ right[:p]
+        force = lapack().dgetrs(*self._factor, held @ (rows.all_rows @ x) - right[p:], trans=int(transposed))[0]
+        return np.concatenate([x - rows.response @ (pushed.T @ force), force])
+
+
+def _combined(parts: list[tuple[Vector, Indices, Indices]], shape: tuple[int, int]) -> sp.csr_array:
+    """Return a sparse matrix of some entries, each with its row and column."""
+    values, row, column = (np.concatenate(one) for one in zip(*parts, strict=True))
+    return sp.csr_array((values, (row, column)), shape=shape)

@@ -22,8 +22,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import FrictionalRows
-from contactqp.linalg.dense import BALANCED
+from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips
+from contactqp.linalg.dense import BALANCED, REGULAR
 from contactqp.linalg.extended import (
     Extended,
     ExtendedAnswer,
@@ -108,6 +108,8 @@ INVISIBLE = 1e-22
 NEGLIGIBLE = 1e-20
 # What was to be done where the time limit has passed.
 LATE = "the answer was solved for on its combination of open, stick and slip"
+# Systems of so many equations are reduced to those of the forces, where nothing floats.
+REDUCED = 100
 # Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
 SINGULAR = 1e-12
 
@@ -117,7 +119,6 @@ class StateSystem:
 
     Parameters
     ----------
-    problem : ContactProblem
     condensation : Condensation, that of the problem
     rows : FrictionalRows
     status : (m,) array of int, the combination
@@ -136,7 +137,6 @@ class StateSystem:
 
     def __init__(
         self,
-        problem: ContactProblem,
         condensation: Condensation,
         rows: FrictionalRows,
         status: Status,
@@ -146,35 +146,47 @@ class StateSystem:
     ) -> None:
         self._of = status, directions, turning
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        self._condensation, self._rows = condensation, rows
-        tangent = rows.tangent.reshape(problem.contacts, rows.width, -1)
-        drag = np.einsum("iw,iwp->ip", directions[self.closed], tangent[self.closed])
-        dragged = rows.coefficient[self.closed, None] * drag
-        normal, stuck = rows.normal[self.closed], tangent[self.stuck].reshape(-1, len(rows.S))
-        held, pushed = (np.concatenate([one, stuck, rows.tie]) for one in (normal, normal + dragged))
-        stiffness = rows.S
-        across, compliance = _across(tangent, directions, turning)
-        # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
-        felt = kept = np.flatnonzero(held.any(axis=1))
-        if independent:
-            kept = felt[independent_rows(_of_unit_length(held[felt]))]
-            free = _unresisted(rows.motions, np.concatenate([held, across]))
-            stiffness = stiffness + free @ free.T
-        self.redundant = len(kept) < len(felt)
-        held, pushed = np.concatenate([held[kept], across]), np.concatenate([pushed[kept], across])
-        p = len(stiffness)
-        matrix = np.zeros((p + len(held), p + len(held)))
-        matrix[:p, :p], matrix[:p, p:], matrix[p:, :p] = stiffness, pushed.T, held
-        across_slip = np.arange(p + len(kept), p + len(held))
-        matrix[across_slip, across_slip] = -compliance
-        self._size, self._order, self._contacts = len(rows.S), len(matrix), problem.contacts
+        self._condensation, self._rows, self.redundant = condensation, rows, False
         # Lengths and forces are normal, tangential and those of ties, (m + (d-1) m + k,): these act, in these units.
         m, end = len(rows.normal), len(rows.normal) + len(rows.tangent)
         along, ties = np.arange(m, end).reshape(-1, rows.width), np.arange(end, end + len(rows.tie))
-        self._acting = np.concatenate([self.closed, along[self.stuck].ravel(), ties])[kept]
+        acting = np.concatenate([self.closed, along[self.stuck].ravel(), ties])
+        # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
+        self._acting = acting[rows.all_rows[acting].any(axis=1)]
+        across, self._reduced = NONE_ACROSS if turning is None else across_slips(directions, turning), None
+        self._contacts, self._size, self._across = m, len(rows.S), len(across.contacts)
+        held = not rows.motions.shape[1] and condensation.schur_factor.smallest_pivot >= REGULAR
+        if held and self._size + len(acting) >= REDUCED:
+            reduced = ReducedStates(rows, self._acting, directions, across)
+            self._reduced = reduced if reduced.regular else None
+        if self._reduced is None:
+            self._factorise(self._whole(directions, across, independent), 0.0 if independent else SINGULAR)
+        self.regular = self._reduced is not None or self._inverse is None
         units = (rows.normal_length, np.repeat(rows.tangent_length, rows.width), rows.tie_length)
         self._units = np.concatenate(units)[self._acting]
-        self._factorise(matrix, 0.0 if independent else SINGULAR)
+
+    def _whole(self, directions: Array, across: AcrossSlips, independent: bool) -> Array:
+        """Return the matrix; of rows that depend on others only as many act as are independent, where asked for."""
+        rows, p = self._rows, self._size
+        tangent = rows.tangent.reshape(self._contacts, rows.width, p)
+        added = np.einsum("iw,iwp->ip", across.rows, tangent[across.contacts])
+        held, stiffness = rows.all_rows[self._acting], rows.S
+        if independent:
+            kept = independent_rows(_of_unit_length(held))
+            free = _unresisted(rows.motions, np.concatenate([held, added]))
+            stiffness = stiffness + free @ free.T
+            self.redundant = len(kept) < len(held)
+            held, self._acting = held[kept], self._acting[kept]
+        pushing = self._acting[self._acting < self._contacts]
+        pushed = held.copy()
+        drag = np.einsum("iw,iwp->ip", directions[pushing], tangent[pushing])
+        pushed[: len(pushing)] += rows.coefficient[pushing, None] * drag
+        matrix = np.zeros((p + len(held) + len(added),) * 2)
+        matrix[:p, :p], matrix[:p, p:] = stiffness, np.concatenate([pushed, added]).T
+        matrix[p:, :p] = np.concatenate([held, added])
+        crossed = np.arange(p + len(held), len(matrix))
+        matrix[crossed, crossed] = -across.compliance
+        return matrix
 
     def suits(self, status: Status, directions: Array, turning: Vector | None) -> bool:
         """Return whether this is the system of a combination, up to a turn of slip directions that is a rounding."""
@@ -189,8 +201,7 @@ class StateSystem:
         condition = float(info == 0)
         if info == 0 and singular:
             condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0]
-        self.regular = condition >= singular and info == 0
-        if not self.regular:  # the least correction that fits best
+        if not (condition >= singular and info == 0):  # the least correction that fits best
             self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
             self._singular = matrix
         self._factor = (factor, pivots)
@@ -206,9 +217,11 @@ class StateSystem:
         reduced, inner = self._condensation.reduce_residual(load)
         rows, m, p = self._rows, self._contacts, self._size
         lengths, q = np.concatenate([gap, slip.ravel(), tie]), p + len(self._acting)
-        right = np.zeros(self._order)
+        right = np.zeros(q + self._across)
         right[:p], right[p:q] = reduced * rows.scale, lengths[self._acting] / self._units
-        if self._inverse is not None:
+        if self._reduced is not None:
+            found = self._reduced.solve(right, transposed)
+        elif self._inverse is not None:
             found = (self._inverse.T if transposed else self._inverse) @ right
         else:
             found = lapack().dgetrs(*self._factor, right, trans=int(transposed))[0]
@@ -241,20 +254,6 @@ def _unresisted(motions: Array, held: Array) -> Array:
 def _of_unit_length(rows: Array) -> Array:
     length = np.linalg.norm(rows, axis=1)
     return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
-
-
-def _across(tangent: Array, directions: Array, turning: Vector | None) -> tuple[Array, Vector]:
-    """Return rows (k, p) across the directions of slip and the compliances |s| / mu l_N of their forces, in space only.
-
-    Where bodies move far under small forces the compliances are large: then both are scaled to one.
-    """
-    if turning is None:
-        return np.zeros((0, tangent.shape[2])), np.zeros(0)
-    moving = np.flatnonzero(turning > 0)
-    left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
-    scale = np.minimum(turning[moving], 1.0)
-    compliance = 1.0 / np.maximum(turning[moving], 1.0)
-    return np.sqrt(scale)[:, None] * np.einsum("iw,iwp->ip", left, tangent[moving]), compliance
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +307,7 @@ def refined_in(
             # Where a system has an inverse its rows are independent, and nothing is free.
             if kept is not None and (kept.regular or not independent) and kept.suits(status, directions, turning):
                 return kept
-        made = StateSystem(problem, condensation, rows, status, directions, turning, independent)
+        made = StateSystem(condensation, rows, status, directions, turning, independent)
         last[independent] = made
         return made
 
