@@ -34,6 +34,9 @@ LARGEST, FAR, SAME = 24, 1e-9, 1e-9
 # Powers of two near 1e-9, 1 and 1e9.
 UNITS = (2.0**-30, 1.0, 2.0**30)
 QUANTITIES = ("displacement", "normal_force", "gap", "reaction", "energy", "tie_force", "friction_force", "slip")
+# Parameters along which answers are linear and the energy is quadratic until a contact's state changes; the step of
+# quotients, which is rounded with the parameter, and what they may therefore be off by.
+LINEAR, STEP, QUOTIENT = ("load", "gap", "tie_value", "slip_origin"), 2.0**-24, 1e-6
 # Parts of an event a unit of step that the rounding of rates makes, beside gaps a thousand times smaller than others.
 ROUNDED = 1e-12
 
@@ -126,6 +129,10 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
             found = solution.derivative(name, parameter, direction)
             if found.reach is not None and true.reach is not None and not _same_reach(found.reach, true.reach):
                 tally.wrong.append(f"{where}: {name} by {parameter} reaches {found.reach}, exactly {true.reach}")
+            if found.right is not None and true.right is None:
+                by_quotients(
+                    tally, f"{where}: {name} by {parameter}", answer, problem, (parameter, direction, name), found
+                )
             if found.right is None or true.right is None:
                 tally.counts["none: " + ("both" if found.right is None and true.right is None else
                              "doubles alone" if found.right is None else "exact alone")] += 1  # fmt: skip
@@ -152,6 +159,34 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
                 ]
                 if any(exact_errors):
                     tally.wrong.append(f"{where}: {name} by {parameter}: a bound is below the error")
+
+
+def by_quotients(tally: Tally, where: str, answer: Any, problem: cq.ContactProblem, asked: Any, found: Any) -> None:
+    """Hold sides of which rational rates are not unique, or of redundant contacts, against exact answers nearby."""
+    parameter, direction, name = asked
+    if parameter not in LINEAR or name == "reaction" or getattr(answer, name) is None:
+        return
+    here, given = fractions(answer, name), np.asarray(getattr(problem, parameter))
+    change = np.asarray(direction).reshape(given.shape)
+    unit = sizes(problem, cq.solve(problem))[name]
+    for side, sign in ((found.left, -1), (found.right, 1)):
+        steps = [sign * STEP, sign * STEP / 2]
+        try:
+            others = [cq.exact(problem.replace(**{parameter: given + h * change}), enclose=False) for h in steps]
+        except (cq.ContactQPError, ValueError):
+            tally.counts["none: exact alone, no answer on a side"] += 1
+            continue
+        far, near = ([(y - x) / Fraction(h) for x, y in zip(here, fractions(other, name), strict=True)]
+                     for other, h in zip(others, steps, strict=True))  # fmt: skip
+        true = np.array([float(2 * b - a) for a, b in zip(far, near, strict=True)])
+        whole = float(np.max(abs(true) * unit, initial=0.0))
+        tally.counts["none: exact alone, held against quotients"] += 1
+        if not np.all(abs(np.ravel(side) - true) * unit <= QUOTIENT * whole):
+            tally.wrong.append(f"{where}: {side} on a side where exact answers change by {true}")
+
+
+def fractions(answer: Any, name: str) -> list[Fraction]:
+    return [Fraction(x) for x in ([answer.energy] if name == "energy" else np.ravel(getattr(answer, name)))]
 
 
 def survey(problems: int) -> int:
