@@ -431,3 +431,53 @@ def slips_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> Sl
     if not np.all(np.isfinite(square)):
         return None
     return SlipsNearby(slides, own, slip, pushed, float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """The compliance W' of some contacts, all others keeping their states: forces d on them make T d on all rows."""
+
+    W: Array  # (d q, d q), not symmetric where others slip in the plane
+    whole: Array  # T (d m, d q)
+    energy: Array  # T'W T
+    response: Array  # (d q, p) of these rows to a unit of each force that was eliminated
+    inverse: Array  # |M^-1| (p, p) of those forces, by what their rows miss
+    own: Array  # |P'W P| (p, p)
+    held: Indices  # (p,) the rows that keep their length
+    forces: Array  # P (d m, p): what a unit of each eliminated force is on all rows
+    growth: float  # |M| |M^-1|, by which rounding of W grows
+
+
+def eliminated(compliance: ContactOperators, status: Status, mu: Vector, law: Mask) -> Eliminated | None:
+    """Eliminate the closed contacts but those of `law` (m,): they keep their gap, and slip where they stick.
+
+    In the plane one that slips has l_T = mu l_N s. None where that system has no inverse, or where some friction of
+    `law` moves nothing.
+
+    Parameters
+    ----------
+    compliance : ContactOperators of bodies of which none floats
+    status, mu : (m,) states and coefficients
+    law : (m,) bool, the contacts that remain, all that slip in space among them
+    """
+    m, d, n = len(mu), len(compliance.W) // len(mu), len(compliance.W)
+    place, W, felt = np.arange(n).reshape(m, d), compliance.W, felt_rows(compliance)
+    if not felt[law].all():
+        return None
+    closed = (status != OPEN) & ~law
+    sticks = felt[:, 1:] & (closed & (status == STICK) & (mu > 0))[:, None]
+    held = np.concatenate([place[closed, 0], place[:, 1:][sticks]])
+    P = np.zeros((n, len(held)))
+    P[held, np.arange(len(held))] = 1.0
+    slides = np.flatnonzero(closed & (abs(status) == 1) & (mu > 0))
+    P[place[slides, 1], np.searchsorted(np.flatnonzero(closed), slides)] = (mu * status)[slides]
+    kept, M = place[law].ravel(), W[held] @ P
+    try:
+        inverse = np.linalg.inv(M)
+    except np.linalg.LinAlgError:
+        return None
+    T = -P @ (inverse @ W[np.ix_(held, kept)])
+    T[kept, np.arange(len(kept))] += 1.0
+    response, own = W[kept] @ P, abs(P.T @ W @ P)
+    growth = float(np.linalg.norm(M, 1) * np.linalg.norm(inverse, 1)) if len(M) else 1.0
+    return Eliminated(W[kept] @ T, T, T.T @ W @ T, abs(response), abs(inverse), own, held, P, growth)

@@ -35,6 +35,13 @@ are then the only zero of a continuous, strongly monotone map on a ball, and one
 refined slips leave is less than the map grows by within the ball; elsewhere by Newton and Kantorovich, as
 `SlipsNearby.settled` says. `scope` is "local", `radius` is r in the energy norm.
 
+Where some contacts have no margin (at a border of stick and slip, closed without force), r is the least margin of the
+others. These keep their states, and are eliminated: d = T d_L, and W' d_L are the gaps and slips of the contacts L at
+the borders, and in space of those that slip. (2) to (5) hold of d_L on W' in the norm of its symmetric part H, whatever
+states L is in, with a kappa of its own: where that is below 1 one equilibrium at most is nearer than r. One is there:
+W' being positive definite, forces with given friction bounds are unique, no larger than |q|, and continuous in the
+bounds (Brouwer); it is no further than (5) says times the largest |T d|_W / |d|_H, which is less than r.
+
 A body that contacts alone hold has no W. Nearer than r then means in the norm of M = S + A'A + Z Z' on the retained
 unknowns, in which springs hold the rigid motions Z (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with
 w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties B, which balance on Z, satisfy
@@ -58,26 +65,33 @@ from contactqp.certificate.critical_friction import (
     MOST_CONTACTS,
     MOST_UNKNOWNS,
     WITHOUT_STIFFNESS,
+    Eliminated,
     SlipsNearby,
     acting_rows,
     critical,
+    eliminated,
     felt_rows,
     inverse_of_lower,
     of_operator,
     slips_nearby,
     too_many,
 )
-from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
-from contactqp.certificate.state_bodies import Compared
+from contactqp.certificate.state_bodies import (
+    Compared,
+    ForceNorms,
+    RefinedLengths,
+    largest_eigenvalues,
+    refined_lengths,
+    refined_local_lengths,
+)
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import (
     ContactCompliance,
     ContactOperators,
-    RefinedForces,
     contact_compliance,
     refined_forces,
 )
-from contactqp.linalg.extended import EPS, extend, extended_rows
+from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
@@ -85,81 +99,16 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
-# Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
-TOO_ROUNDED = 1e-2
 # Coulomb's law in doubles is missed by this part of the friction, by rounding.
 ROUNDED = 8 * float(np.finfo(float).eps)
 # Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
 SYMMETRIC = 1e-15
-# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
-UNMET = 1e-22
 FLOATS = "a body is held by contacts alone"
+# A contact whose distance from another state is this part of the largest is at a border, or one so many times nearer
+# than the answer that is judged.
+AT_BORDER, FAR_ENOUGH = 1e-9, 4.0
 DEPENDENT = "contact rows depend on one another, or nearly: compliance has no inverse"
 NO_MARGIN = "a contact is within rounding of another state"
-
-
-@dataclass(frozen=True, eq=False)
-class _Norms:
-    """The largest force, gap and slip of each contact (m,) for |d|_W = 1, in the scale of the compliance."""
-
-    normal_force: Vector
-    tangential_force: Vector
-    force: Vector  # of the whole vector
-    gap: Vector  # of (W d)_N
-    slip: Vector  # of (W d)_T
-
-    allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
-
-    @staticmethod
-    def of(compliance: ContactOperators, lost_digits: float, acting: Mask) -> _Norms | None:
-        """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
-
-        None where these rows depend on one another, or so nearly that rounding, of which W has `lost_digits`, leaves
-        nothing of their inverse.
-        """
-        contacts, d = acting.shape
-        rows = np.flatnonzero(acting)
-        operator = compliance.operator(rows, compliance.ties)
-        try:
-            factor = np.linalg.cholesky(operator)
-        except np.linalg.LinAlgError:
-            return None
-        pivots = np.diag(factor) ** 2 / np.diag(operator)
-        rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
-        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
-        half = inverse_of_lower(factor)
-        if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
-            return None
-        inverse = np.zeros((contacts * d, contacts * d))
-        inverse[np.ix_(rows, rows)] = (half.T @ half)[: len(rows), : len(rows)]
-        own, response_of = (
-            blocks.reshape(contacts, d, contacts, d)[np.arange(contacts), :, np.arange(contacts), :]
-            for blocks in (inverse, compliance.W)
-        )
-        more = 1 + allowance
-        return _Norms(
-            more * np.sqrt(own[:, 0, 0]),
-            more * np.sqrt(_largest(own[:, 1:, 1:])),
-            more * np.sqrt(_largest(own)),
-            more * np.sqrt(response_of[:, 0, 0]),
-            more * np.sqrt(_largest(response_of[:, 1:, 1:])),
-            allowance,
-        )
-
-
-def _largest(blocks: Array) -> Vector:
-    return np.asarray(np.max(np.linalg.eigvalsh(blocks), axis=1, initial=0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Refined:
-    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
-
-    normal: Vector  # (m,) l_N
-    friction: Array  # (m, d-1) l_T
-    gap: Vector  # (m,) of w
-    slip: Array  # (m, d-1) of w
-    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
 
 
 def frictional_bounds(
@@ -184,12 +133,12 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     compliance = contact_compliance(problem, condensation)
     if compared.refined.redundant:
         return DEPENDENT
-    refined = _refined(problem, condensation, compared, compliance)
+    refined = refined_lengths(problem, condensation, compared, compliance)
     if refined is None:
         return "its refined answer leaves ties unmet"
     kappa = np.inf
     if not compliance.floats:
-        norms = _Norms.of(compliance, condensation.lost_digits, felt_rows(compliance))
+        norms = ForceNorms.of(compliance, condensation.lost_digits, felt_rows(compliance))
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
@@ -203,7 +152,7 @@ def _proven_nearby(
     condensation: Condensation,
     answer: Answer,
     compared: Compared,
-    refined: _Refined,
+    refined: RefinedLengths,
     kappa: float,
 ) -> Bounds | str:
     """Return the local statement where every sign holds by a margin, or the reason why there is none.
@@ -214,7 +163,7 @@ def _proven_nearby(
     kappa : not below one, so that there is no global statement
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
-    norms = _Norms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
+    norms = ForceNorms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
     if norms is None:
         return DEPENDENT
     others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
@@ -232,12 +181,19 @@ def _proven_nearby(
     around = max(float(np.hypot(compared.displacement, apart)), compared.force) + error
     radius = reach - around
     if not radius > around:
-        return f"{others}, and {NO_MARGIN}"
+        at = (
+            None
+            if compliance.floats
+            else _at_borders(compliance, compared.status, mu, refined, condensation.lost_digits, around)
+        )
+        if at is None:
+            return f"{others}, and {NO_MARGIN}"
+        norms, error, radius = at
     return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
 
 
 def _nearest(
-    slips: SlipsNearby | None, refined: _Refined, norms: _Norms, left: float, margin: float
+    slips: SlipsNearby | None, refined: RefinedLengths, norms: ForceNorms, left: float, margin: float
 ) -> tuple[float, float] | float:
     """Return how far the only equilibrium in its states is at most, and how far no other is; else the constant nearby.
 
@@ -265,7 +221,85 @@ def _nearest(
     return (error, found.radius) if error < found.radius else nearby
 
 
-def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: _Refined, mu: Vector) -> float:
+def _at_borders(
+    compliance: ContactOperators, status: Status, mu: Vector, refined: RefinedLengths, lost_digits: float, around: float
+) -> tuple[ForceNorms, float, float] | None:
+    """Return norms, the distance of the only equilibrium nearby and the radius where some contacts have no margin.
+
+    All others keep their states within the radius and are eliminated; what remains, and in space what slips, is the
+    law on W' of `eliminated`, to which (5) applies in any states. None where its constant is not below one.
+
+    Parameters
+    ----------
+    compliance, refined : the operators, forces and lengths of all contacts
+    status, mu : their states and coefficients (m,)
+    lost_digits : by which W is rounded
+    around : how far the refined answer is from the one that is judged
+    """
+    rows = acting_rows(compliance, status, mu)
+    norms = ForceNorms.of(compliance, lost_digits, rows)
+    if norms is None:
+        return None
+    margins = _margins(refined, norms, status, mu)
+    border = margins <= FAR_ENOUGH * around + AT_BORDER * float(np.max(margins[np.isfinite(margins)], initial=0.0))
+    law = border | ((abs(status) == 1) & (mu > 0) & (refined.slip.shape[1] > 1))
+    found = eliminated(compliance, status, mu, law) if border.any() else None
+    norms = ForceNorms.of(compliance, lost_digits, rows | (felt_rows(compliance) & border[:, None]))
+    if found is None or norms is None:
+        return None
+    none = np.zeros((len(found.W), 0))
+    half = ContactOperators((found.W + found.W.T) / 2, none, none[:0], compliance.scale[law], 0)
+    own, kappa = _of_skew(half, found.W, mu[law], lost_digits * found.growth)
+    if own is None or not kappa < 1:
+        return None
+    error = _error_at_borders(compliance.W, (norms, own), refined, found, (status, mu, law), kappa)
+    margin = float(np.min(_margins(refined, norms, status, mu)[~border], initial=np.inf)) - refined.correction
+    radius = margin - around - error
+    return (norms, error, radius) if radius > around + error else None
+
+
+def _error_at_borders(
+    W: Array,
+    norms: tuple[ForceNorms, ForceNorms],
+    refined: RefinedLengths,
+    found: Eliminated,
+    law: tuple[Status, Vector, Mask],
+    kappa: float,
+) -> float:
+    """Bound |l - l*|_W from the refined forces l to those of the equilibrium that has `law` at the borders.
+
+    Beside l are forces that are l on `law`, and elsewhere meet what their states ask for: they differ by M^-1 of what l
+    misses there. From these to l* it is T d of (5) for `law`, whose lengths the difference changes as well.
+
+    Parameters
+    ----------
+    W : that of all contacts
+    norms : of the rows that act, and of those of `law` in the norm of the symmetric part of W'
+    refined : forces and lengths of all contacts
+    found, kappa : W' and its constant
+    law : states and coefficients of all contacts, and which have the law
+    """
+    (of_all, own), (status, mu, at) = norms, law
+    m, d = len(mu), refined.slip.shape[1] + 1
+    uncertain = np.column_stack([of_all.gap, *[of_all.slip] * (d - 1)]) * refined.correction
+    missed = (abs(np.column_stack([refined.gap, refined.slip])) + uncertain).ravel()
+    off = np.zeros((m, d))
+    drag = refined.friction - (mu * status * refined.normal)[:, None]
+    slides = (abs(status) == 1) & (mu > 0) & ~at
+    off[slides, 1:] = (abs(drag) + ROUNDED * abs(refined.friction))[slides]
+    size, kept = abs(W), np.arange(m * d).reshape(m, d)[at].ravel()
+    changed = found.inverse @ (missed[found.held] + size[found.held] @ off.ravel())
+    moved = (found.response @ changed + size[kept] @ off.ravel()).reshape(-1, d) + uncertain[at]
+    parts = _over(moved[:, 0], own.gap), _over(lengths(moved[:, 1:]), own.slip)
+    there = (refined.normal[at], refined.friction[at], refined.gap[at], refined.slip[at])
+    distance = _distance(RefinedLengths(*there, float(np.max(parts))), own, status[at], mu[at], kappa)
+    factor = inverse_of_lower(np.linalg.cholesky((found.W + found.W.T) / 2))
+    grown = float(np.sqrt(np.max(np.linalg.eigvalsh(factor @ found.energy @ factor.T))))
+    left = np.sqrt(changed @ found.own @ changed) + np.sqrt(off.ravel() @ size @ off.ravel())
+    return (1 + own.allowance) * grown * distance + float(left) + refined.correction
+
+
+def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: RefinedLengths, mu: Vector) -> float:
     """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies."""
     closed, sticks = compared.status != OPEN, (compared.status == STICK) & (mu > 0)
     moved, tied = compliance.on_rigid_motions()
@@ -275,30 +309,7 @@ def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: 
     return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
 
 
-def _refined(
-    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
-) -> _Refined | None:
-    """Return the response w to the refined forces, one more correction away, with its gaps and slips."""
-    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
-    u, force, friction = found.displacement, found.normal_force, found.friction_force
-    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
-    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
-    if np.any(missed > UNMET * size):
-        return None
-    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
-    left = left - rows.friction_force(friction)
-    step, error = response(problem, condensation, left, tied=problem.ties > 0)
-    moved = u + step
-    correction = 2 * energy_norm(problem, step)[0] + error
-    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
-    gap = (extend(problem.gap) - rows.normal @ moved).double()
-    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
-    scale = compliance.scale
-    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
-    return _Refined(*forces, gap / scale, slip / scale[:, None], correction)
-
-
-def _distance(refined: _Refined, norms: _Norms, status: Status, mu: Vector, kappa: float) -> float:
+def _distance(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector, kappa: float) -> float:
     """Bound |d|_W from the refined forces to those of any equilibrium, by (5), and add |u - w|_K."""
     more = refined.correction
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
@@ -330,19 +341,20 @@ def _distance(refined: _Refined, norms: _Norms, status: Status, mu: Vector, kapp
     return float((b + np.sqrt(b * b + 4 * room * c)) / (2 * room) + more)
 
 
-def _margin(refined: _Refined, norms: _Norms, status: Status, mu: Vector) -> float:
-    """Return the least distance at which a contact can be in another state, in the norm that forces and slips have."""
+def _margins(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
+    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have."""
     closed, frictional = status != OPEN, mu > 0
     sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
-    room = mu * refined.normal - lengths(refined.friction)
+    room = _over(mu * refined.normal - lengths(refined.friction), mu * norms.normal_force + norms.tangential_force)
     along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
-    margins = (
-        _over(refined.gap, norms.gap)[~closed],
-        _over(refined.normal, norms.normal_force)[closed],
-        _over(room, mu * norms.normal_force + norms.tangential_force)[sticks],
-        _over(along, norms.slip)[slides],
-    )
-    return float(np.min(np.concatenate(margins), initial=np.inf))
+    found = np.where(closed, _over(refined.normal, norms.normal_force), _over(refined.gap, norms.gap))
+    found = np.where(sticks, np.minimum(found, room), found)
+    return np.asarray(np.where(slides, np.minimum(found, _over(along, norms.slip)), found))
+
+
+def _margin(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> float:
+    """Return the least of the distances at which a contact can be in another state."""
+    return float(np.min(_margins(refined, norms, status, mu), initial=np.inf))
 
 
 def _over(size: Vector, norm: Vector) -> Vector:
@@ -359,7 +371,7 @@ def _bounds(
     problem: ContactProblem,
     answer: Answer,
     compared: Compared,
-    norms: _Norms,
+    norms: ForceNorms,
     compliance: ContactCompliance,
     distance: float,
 ) -> Bounds:
@@ -416,7 +428,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     found = refined_forces(problem, force, status)
     if found is None:
         return "no answer of its own states is near whose forces are unique"
-    refined, apart, last, size = _local_refined(problem, force, found)
+    refined, apart, last, size = refined_local_lengths(problem, force, found)
     skew = problem.scaled_asymmetry > SYMMETRIC
     norms, kappa = _of_skew(compliance, W, mu) if skew else _of_all_rows(compliance, problem)
     scope, radius = GLOBALLY, None
@@ -426,7 +438,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         if skew and (norms is None or problem.dimension == 3):
             others = f"other equilibria are not excluded (kappa = {kappa:.3g})"
             return f"{others}, and delassus is not symmetric, by {problem.scaled_asymmetry:.2g}"
-        norms = norms if skew else _Norms.of(compliance, 0.0, acting_rows(compliance, status, mu))
+        norms = norms if skew else ForceNorms.of(compliance, 0.0, acting_rows(compliance, status, mu))
         if norms is None:
             return DEPENDENT
         slips = SlipsNearby.none(mu) if skew else slips_nearby(compliance, status, mu)
@@ -437,24 +449,29 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         error, reach = near
         scope, radius = LOCALLY, reach - apart - error
         if not radius > apart + error:
-            return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
+            at = None if skew else _at_borders(compliance, status, mu, refined, 0.0, apart + error)
+            if at is None:
+                return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
+            norms, error, radius = at
     least_size = size - error if size > error else 1.0
     off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
     return LocalBounds((apart + error) / least_size, off + error * norms.force / compliance.scale, scope, radius)
 
 
-def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[_Norms | None, float]:
+def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[ForceNorms | None, float]:
     """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
     if problem.contacts > MOST_CONTACTS:
         return None, np.inf
-    norms = _Norms.of(compliance, 0.0, felt_rows(compliance))
+    norms = ForceNorms.of(compliance, 0.0, felt_rows(compliance))
     if norms is None:
         return None, np.inf
     kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa
     return norms, kappa * (1 + norms.allowance)
 
 
-def _of_skew(compliance: ContactOperators, W: Array, mu: Vector) -> tuple[_Norms | None, float]:
+def _of_skew(
+    compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0
+) -> tuple[ForceNorms | None, float]:
     """Return the same of an operator W that is not symmetric, by its symmetric part H.
 
     |(Wd)_i| <= w_i |d|_H with w_i^2 the largest eigenvalue of (W H^-1 W')_ii, and for any c_i > 0
@@ -462,31 +479,14 @@ def _of_skew(compliance: ContactOperators, W: Array, mu: Vector) -> tuple[_Norms
         sum mu_i |d_N,i| |(Wd)_T,i| <= 1/2 sum mu_i (c_i d_N,i^2 + |(Wd)_T,i|^2 / c_i) <= kappa |d|_H^2.
     """
     m, d = len(mu), len(W) // len(mu)
-    norms = _Norms.of(compliance, 0.0, np.ones((m, d), dtype=bool))
+    norms = ForceNorms.of(compliance, lost_digits, np.ones((m, d), dtype=bool))
     if norms is None:
         return None, np.inf
     half = np.linalg.inv(np.linalg.cholesky(compliance.W))
     felt, more = (W @ half.T).reshape(m, d, -1), 1 + norms.allowance
     own = felt @ felt.swapaxes(1, 2)
-    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(_largest(own[:, 1:, 1:]))
+    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:]))
     weight = np.where(slip > 0, slip, 1.0) / norms.normal_force
     pushed, slid = half.T.reshape(m, d, -1)[:, 0], felt[:, 1:].reshape(m * (d - 1), -1)
     square = pushed.T @ ((mu * weight)[:, None] * pushed) + slid.T @ (np.repeat(mu / weight, d - 1)[:, None] * slid)
     return replace(norms, gap=gap, slip=slip), more * float(np.linalg.eigvalsh(square)[-1]) / 2
-
-
-def _local_refined(problem: LocalProblem, force: Array, found: RefinedForces) -> tuple[_Refined, float, float, float]:
-    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
-    shape, scale = force.shape, problem.contact_scale[:, None]
-    W = problem.scaled_delassus
-
-    def norm(forces: Array) -> float:
-        scaled = (forces.reshape(shape) / scale).ravel()
-        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
-
-    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
-    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
-    correction = float(EPS * np.linalg.norm(meeting))
-    refined = _Refined(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
-    apart = norm((extend(force.ravel()) - found.force).double())
-    return refined, apart, norm(found.last), norm(found.force.double())
