@@ -89,6 +89,9 @@ def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
 def entries_of(rows: Any, contacts: int) -> ContactEntries:
     """Return the entries of CSR rows, as many rows for each of the contacts."""
     width = rows.shape[0] // contacts if contacts else 1
+    if width == 1 and rows.has_canonical_format:
+        row = np.repeat(np.arange(contacts), rows.indptr[1:] - rows.indptr[:-1])
+        return ContactEntries(row, rows.indices.astype(np.intp), rows.data[None], contacts)
     row = np.repeat(np.arange(rows.shape[0]), rows.indptr[1:] - rows.indptr[:-1])
     places, at = np.unique(row // width * rows.shape[1] + rows.indices, return_inverse=True)
     values = np.zeros((width, len(places)))
@@ -178,23 +181,38 @@ class CoulombData:
     measure: Callable[[Array], Vector]  # `friction_measure`
 
 
-def coulomb_data(problem: ContactProblem, answer: Answer, F: Vector, none: Vector, hardly: Mask) -> CoulombData | None:
-    """Return the data that judge Coulomb's law, None without tangential rows.
+@dataclass(frozen=True, eq=False)
+class Slips:
+    """The slips of an answer, whatever counts as none."""
+
+    slip: Array  # (m, d-1) E_T u - slip_origin [length]
+    rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
+    hardly: Mask  # (m,) the contacts that are `hardly_felt`
+
+
+def slips_of(problem: ContactProblem, displacement: Vector) -> Slips | None:
+    """Return the slips of a displacement (n,), None without tangential rows."""
+    if problem.tangent is None or problem.slip_origin is None:
+        return None
+    slip = (problem.tangent @ displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
+    hardly = hardly_felt(*compliances(problem))
+    return Slips(slip, HELD_BY_DOUBLES * lengths_across(problem, displacement), hardly)
+
+
+def coulomb_data(problem: ContactProblem, found: Slips, F: Vector, none: Vector) -> CoulombData | None:
+    """Return the data that judge Coulomb's law, None without friction.
 
     Parameters
     ----------
     problem : ContactProblem
-    answer : its displacement says the slips
+    found : the slips of the answer
     F, none : (n,) arrays, the forces that meet at each unknown, and those that count as none [force]
-    hardly : (m,) array of bool, the contacts that are `hardly_felt`
     """
-    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+    if problem.friction is None:
         return None
-    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    across, along = (Felt(contact_entries(problem, name), F, none) for name in ("tangent", "normal"))
-    measure = friction_measure(across, along, hardly)
-    rounding = HELD_BY_DOUBLES * lengths_across(problem, answer.displacement)
-    return CoulombData(slip, rounding, problem.friction, measure)
+    across = Felt(contact_entries(problem, "tangent"), F, none)
+    measure = friction_measure(across, Felt(contact_entries(problem, "normal"), F, none), found.hardly)
+    return CoulombData(found.slip, found.rounding, problem.friction, measure)
 
 
 def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:

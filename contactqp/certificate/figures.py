@@ -27,11 +27,11 @@ import numpy as np
 
 from contactqp.certificate.coulomb_law import (
     CoulombData,
-    compliances,
+    Slips,
     coulomb_data,
     friction_figures,
-    hardly_felt,
     lengths_across,
+    slips_of,
     slips_that_are_nothing,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
@@ -101,14 +101,14 @@ def violations(
     rounding : the fraction of the intrinsic size that counts as none
     rigid : the null space of K; none where no body floats
     """
-    elastic, size, sizes, hardly = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
+    elastic, size, sizes, slips = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
     none, F, coulomb = nothing(problem, answer, elastic, size, rounding), sizes.meeting, None
     least = none.force if none.contact_force is None else none.contact_force
     felt = force_measure(problem.normal, answer.normal_force, F, least, row_sizes(problem, problem.normal))
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
-    if hardly is not None:
-        none = slips_that_are_nothing(none, hardly)
-        coulomb = coulomb_data(problem, answer, F, none.force, hardly)
+    if slips is not None:
+        none = slips_that_are_nothing(none, slips.hardly)
+        coulomb = coulomb_data(problem, slips, F, none.force)
     return figures(answer, missed, sizes, none, felt, coulomb)
 
 
@@ -157,17 +157,17 @@ def _forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector,
 
 def _sizes(
     problem: ContactProblem, answer: Answer, rigid: RigidMotions | None
-) -> tuple[Vector, Vector, Sizes, Mask | None]:
+) -> tuple[Vector, Vector, Sizes, Slips | None]:
     """Return what does not depend on which part of the size counts as none.
 
     The displacement without its rigid part and the intrinsic size S, both (n,), the sizes by which residuals are
-    measured, and the contacts that are `hardly_felt` (m,), or None without tangential rows.
+    measured, and the slips, or None without tangential rows.
     """
     elastic, size, F = _meeting(problem, answer, rigid)
     normal, moved, tie_lengths = row_sizes(problem, problem.normal), abs(elastic), np.zeros(0)
     if problem.ties:
         tie_lengths = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
-    hardly = None if problem.tangent is None else hardly_felt(*compliances(problem))
+    slips = None if problem.tangent is None else slips_of(problem, answer.displacement)
     across = np.zeros(problem.contacts) if problem.friction is None else lengths_across(problem, elastic)
     sizes = Sizes(
         meeting=F,
@@ -177,7 +177,7 @@ def _sizes(
         tie_lengths=tie_lengths,
         intrinsic_size=float(size.max(initial=0.0)),
     )
-    return elastic, size, sizes, hardly
+    return elastic, size, sizes, slips
 
 
 def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None) -> tuple[Vector, Vector, Vector]:

@@ -205,7 +205,7 @@ class CondensedBodies:
     """Bodies that are condensed onto their contacts."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
-        self._problem, self._condensation, self._outward = problem, condensation, condensation.outward
+        self._problem, self._condensation = problem, condensation
         self._rows = condensed_frictional_rows(problem, condensation)
         self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
         self.floats = condensation.rigid.count > 0
@@ -223,8 +223,9 @@ class CondensedBodies:
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, d-1)."""
-        condensation = self._condensation
-        load = normal @ condensation.normal + self._outward @ friction.ravel()
+        condensation, rows = self._condensation, self._rows
+        along = (friction * rows.tangent_length[:, None]).ravel() @ rows.tangent
+        load = normal @ condensation.normal + along / rows.scale
         saddle = saddle_point(condensation, np.zeros(0, dtype=np.intp))
         x, _, _ = saddle.solve(load, np.zeros(0), np.zeros(self._problem.ties))
         return float(np.sqrt(max(float(load @ x), 0.0)))

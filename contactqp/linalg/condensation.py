@@ -222,11 +222,6 @@ class Condensation:
         left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
-    @cached_property
-    def outward(self) -> Any:
-        """(p, (d-1) m) what friction forces exert on the retained unknowns: the tangential rows, transposed, if any."""
-        return None if self.tangent is None else self.tangent.T
-
     def _schur_smallest_pivot(self, problem: ContactProblem) -> float:
         lowest = self.schur_factor.smallest_pivot if len(self.schur) else 1.0
         if lowest < -CONDENSED_ROUNDING:
