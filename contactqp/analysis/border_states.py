@@ -223,7 +223,7 @@ class Scales:
 
     @cached_property
     def units(self) -> tuple[Vector, Vector, Vector, Vector]:
-        """The scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
+        """Return the scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
         problem, unit = self._problem, unknown_scale(self._problem)
         rows = (problem.normal, problem.tangent, problem.tie)
         normal, tangent, tie = (
@@ -384,7 +384,7 @@ class Borders:
 
     @property
     def free(self) -> Indices:
-        """The contacts that may begin to slip in any direction of a plane."""
+        """Return the contacts that may begin to slip in any direction of a plane."""
         found = [i for i in self.undecided if self.drag.shape[1] > 1 and len(self.choices(int(i))) > 2]
         return np.array(found, dtype=np.intp)
 

@@ -74,7 +74,8 @@ class State:
 
     @cached_property
     def settled(self) -> Array:
-        """The positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are lost.
+        """Return the positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are
+        lost.
 
         A slip that is rounding leaves a contact where it was: of contacts that share a motion, all would slip by it.
         """

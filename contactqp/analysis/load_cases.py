@@ -375,7 +375,7 @@ class Solutions(ReadOnly, Printed):
 
     @property
     def contact_status(self) -> NDArray[np.str_]:
-        """(N, m) of "open", "closed", "grazing", "stick" and "slip"; "unknown" where a case has no answer."""
+        """Return (N, m) of "open", "closed", "grazing", "stick" and "slip"; "unknown" where a case has no answer."""
         return np.array(STATUS)[self._status]
 
     @overload

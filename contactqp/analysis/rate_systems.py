@@ -111,17 +111,17 @@ class Direction:
 
     @property
     def whole_load(self) -> Vector:
-        """The load (n,) that the rates see."""
+        """Return the load (n,) that the rates see."""
         return self.load + self.strained + self.turned
 
     @property
     def whole_gap(self) -> Vector:
-        """The gaps (m,) that the rates see."""
+        """Return the gaps (m,) that the rates see."""
         return self.gap + self.closing
 
     @property
     def by_answer(self) -> bool:
-        """Whether the data of the rates are products with the answer, so that they have its rounding."""
+        """Return whether the data of the rates are products with the answer, so that they have its rounding."""
         return self.stiffness is not None or self.rows is not None or bool(self.friction.any())
 
     def reversed(self) -> Direction:

@@ -219,13 +219,13 @@ class Linearised:
 
     @property
     def turns(self) -> bool:
-        """Whether slips in space turn, or may, so that the answer is not linear along any direction."""
+        """Return whether slips in space turn, or may, so that the answer is not linear along any direction."""
         in_space = self.problem.frictional and self._drag.shape[1] > 1
         return in_space and bool(len(self.undecided) or self.system is None or np.any(self.system.turning != 0))
 
     @property
     def few_touch(self) -> bool:
-        """Whether the ways in which contacts share their forces can be looked through."""
+        """Return whether the ways in which contacts share their forces can be looked through."""
         return not self._sparse and len(self.closed) + len(self.grazing) <= MOST_SHARING
 
     @property
@@ -295,7 +295,7 @@ class Linearised:
 
     @cached_property
     def known(self) -> Solved | None:
-        """The answer in twice double precision, from the system of its states; None where slips may turn."""
+        """Return the answer in twice double precision, from the system of its states; None where slips may turn."""
         if self._sparse or (self.problem.frictional and self._drag.shape[1] > 1):
             return None
         system = self._system(self.status)

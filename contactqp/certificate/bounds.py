@@ -133,17 +133,17 @@ class Bounds:
 
     @cached_property
     def redundant(self) -> bool:
-        """Whether closed contacts and ties were found to depend on each other."""
+        """Return whether closed contacts and ties were found to depend on each other."""
         return any(REDUNDANT in reason for reason in self.reasons)
 
     @cached_property
     def proven(self) -> bool:
-        """Whether energy and force error are bounded, and not only estimated."""
+        """Return whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated
 
     @cached_property
     def basis(self) -> str:
-        """The basis of a verdict without friction: "bounds" if both errors have one, else "figures"."""
+        """Return the basis of a verdict without friction: "bounds" if both errors have one, else "figures"."""
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 

@@ -1,4 +1,4 @@
-"""The certificate: one truth-teller for every method and every foreign code. It imports no method."""
+"""The certificate: the figures, bounds and verdict of an answer, whoever found it. It imports no method."""
 
 from __future__ import annotations
 

@@ -67,12 +67,14 @@ class CriticalFriction(ReadOnly):
 
     @property
     def above(self) -> Indices:
-        """Contacts whose coefficient is at least their own critical one, for which some load has several answers."""
+        """Return the contacts whose coefficient is at least their own critical one, for which some load has several
+        answers.
+        """
         return read_only(np.flatnonzero(self.ratio >= 1.0))
 
     @property
     def ratio(self) -> Vector:
-        """The ratios mu_i / mu_c,i (m,)."""
+        """Return the ratios mu_i / mu_c,i (m,)."""
         return read_only(ratio(self._friction, self.single))
 
     _friction: Vector
@@ -344,7 +346,7 @@ class SlipsNearby:
 
     @property
     def widest(self) -> Vector:
-        """The largest slip (q,) of each contact for a y of length one."""
+        """Return the largest slip (q,) of each contact for a y of length one."""
         return np.linalg.norm(self.slip, ord=2, axis=(1, 2)) if self.slip.size else np.zeros(0)
 
     def settled(self, push: Vector, slip: Array, allowance: float, most: float) -> Settled | None:

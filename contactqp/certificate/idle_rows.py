@@ -60,7 +60,7 @@ class ActingRows:
 
     @property
     def met(self) -> bool:
-        """Whether every row of zeros is met."""
+        """Return whether every row of zeros is met."""
         contacts, ties = _others(self.whole.contacts, self.contacts), _others(self.whole.ties, self.ties)
         return not (np.any(self.whole.gap[contacts] < 0) or np.any(self.whole.tie_value[ties] != 0))
 

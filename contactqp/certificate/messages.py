@@ -36,6 +36,7 @@ class Named(Protocol):
 
 
 def not_finite_parts(problem: ContactProblem, answer: Answer) -> Iterator[str]:
+    """Yield a message for each part of an answer with an entry that is not finite."""
     for name in ANSWER_PARTS:
         values = getattr(answer, name)
         if values is not None and not np.all(np.isfinite(values)):
@@ -98,6 +99,7 @@ def failed_figures(
 
 
 def of_balance(figure: float, tolerance: float) -> str:
+    """Return the message that the forces on a floating body do work on its rigid motions."""
     text = "the forces on a body do not balance over a rigid motion"
     return f"balance: {text} ({figure:.3g} of the forces that act on it, tolerance {tolerance:g})"
 
@@ -219,6 +221,7 @@ def of_printing(problem: ContactProblem) -> str:
 
 
 def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the note that names the contacts whose gap and force both vanish."""
     return (f"grazing (gap and force both vanish): {', '.join(names)}",) if names else ()
 
 
@@ -235,6 +238,7 @@ def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...
 
 
 def of_estimates(bounds: Bounds) -> tuple[str, ...]:
+    """Return the note that errors are estimated and not proven."""
     text = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     return (text,) if bounds.estimated else ()
 

@@ -219,7 +219,7 @@ class Speakers:
 
     @property
     def speaks(self) -> bool:
-        """Whether this process prints and writes the results of all ranks."""
+        """Return whether this process prints and writes the results of all ranks."""
         return self._ranks is None or self._ranks.rank == 0
 
     def together(self) -> AbstractContextManager[None]:

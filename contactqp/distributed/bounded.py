@@ -59,19 +59,19 @@ class BoundUnknowns:
 
     @cached_property
     def limit(self) -> Vector:
-        """The bound (a,) that each row sets on its unknown w_p [length]."""
+        """Return the bound (a,) that each row sets on its unknown w_p [length]."""
         return np.concatenate([self.problem.gap, self.problem.tie_value]) / self.coefficient
 
     @cached_property
     def coefficient(self) -> Vector:
-        """E_ip (a,); 1 of rows that touch nothing."""
+        """Return E_ip (a,); 1 of rows that touch nothing."""
         found, rows = np.ones(len(self.pivot)), np.flatnonzero(self.pivot != NONE)
         found[rows] = np.asarray(self.rows.entries[rows, self.pivot[rows]]).ravel()
         return found
 
     @cached_property
     def tightest(self) -> tuple[Indices, Indices]:
-        """The rows (t,) that limit each column from above and from below; NONE where none does."""
+        """Return the rows (t,) that limit each column from above and from below; NONE where none does."""
         acting, tie = self.pivot != NONE, np.arange(len(self.limit)) >= self.problem.contacts
         sides = []
         for sign in (1.0, -1.0):
@@ -107,7 +107,7 @@ class BoundUnknowns:
 
     @cached_property
     def change(self) -> Any:
-        """T (n, n) as a PETSc.Mat; None where every row touches one unknown."""
+        """Return T (n, n) as a PETSc.Mat; None where every row touches one unknown."""
         entries, ranks = self.rows.entries, self.problem.ranks
         length = np.diff(entries.indptr)
         first = [row for side in self.tightest for row in side[side != NONE] if length[row] > 1]

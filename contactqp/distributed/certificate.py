@@ -70,7 +70,7 @@ class CuttingPlanes:
 
     @property
     def query(self) -> Vector:
-        """The a (p,) whose sums are wanted next."""
+        """Return the a (p,) whose sums are wanted next."""
         return np.asarray(self._queries[0])
 
     def add_cut(self, sums: Vector) -> None:

@@ -72,12 +72,12 @@ class DistributedBodyModel(ContactEntries):
 
     @property
     def structure(self) -> Structure:
-        """The structure of this rank's pieces."""
+        """Return the structure of this rank's pieces."""
         return self.system.structure
 
     @cached_property
     def problem(self) -> DistributedProblem:
-        """The contact problem on the free unknowns; collective when it is first asked for."""
+        """Return the contact problem on the free unknowns; collective when it is first asked for."""
         nodes = np.concatenate([np.zeros(0, dtype=np.int64), *[self._slaves(c.body, c.pairing) for c in self.contacts]])
         with stage(BUILD):
             return self.system.problem(
@@ -95,7 +95,9 @@ class DistributedBodyModel(ContactEntries):
 
     @cached_property
     def free_contacts(self) -> FreeContacts:
-        """The contacts that a free unknown moves, the same on all ranks; collective when they are first asked for."""
+        """Return the contacts that a free unknown moves, the same on all ranks; collective when they are first asked
+        for.
+        """
         pairings = [contact.pairing for contact in self.contacts]
         return free_contacts(pairings, self._prescribed, friction=self.row_friction, names=self.row_names)
 
@@ -107,12 +109,12 @@ class DistributedBodyModel(ContactEntries):
 
     @property
     def given(self) -> Vector:
-        """The displacements that supports prescribe to the unknowns of the surfaces, 0 where they are free."""
+        """Return the displacements that supports prescribe to the unknowns of the surfaces, 0 where they are free."""
         return np.where(np.isnan(self._prescribed), 0.0, self._prescribed)
 
     @property
     def kept(self) -> Index:
-        """The rows of all pairings that are contacts of the problem."""
+        """Return the rows of all pairings that are contacts of the problem."""
         return self.free_contacts.kept
 
     def load_on_all(self, time: Fraction) -> Vector:
@@ -324,22 +326,22 @@ class ProblemInPieces:
 
     @property
     def units(self) -> Units:
-        """The units of the scene."""
+        """Return the units of the scene."""
         return self.part.units
 
     @property
     def contacts(self) -> int:
-        """The number m of contacts on all ranks."""
+        """Return the number m of contacts on all ranks."""
         return len(self.contact_names)
 
     @property
     def tangent(self) -> None:
-        """None: pictures of paths ask for it, and these paths have no friction."""
+        """Return None: pictures of paths ask for it, and these paths have no friction."""
         return None
 
     @cached_property
     def normal(self) -> Any:
-        """E_N (m, n) in the numbers of one process, gathered on every rank."""
+        """Return E_N (m, n) in the numbers of one process, gathered on every rank."""
         part, rows = self.part, self.part.normal.entries.tocoo()
         column = part.normal.at_touched(part.dof_number.astype(float)).astype(np.int64)[rows.col]
         free, gathered = column >= 0, part.ranks.gathered
@@ -348,12 +350,12 @@ class ProblemInPieces:
 
     @cached_property
     def load(self) -> Array:
-        """The load (n,), gathered on every rank [force]."""
+        """Return the load (n,), gathered on every rank [force]."""
         return self.part.gathered(self.part.load, self.part.dof_number)
 
     @cached_property
     def dof_names(self) -> tuple[str, ...]:
-        """The names (n,) of all unknowns, gathered on every rank."""
+        """Return the names (n,) of all unknowns, gathered on every rank."""
         here = np.array([self.part.dof_name(i) for i in range(len(self.part.dof_number))], dtype=np.str_)
         return tuple(map(str, self.part.gathered(here, self.part.dof_number)))
 

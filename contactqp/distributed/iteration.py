@@ -153,7 +153,7 @@ class DistributedIteration(ContactIteration):
 
     @property
     def entries(self) -> sp.csr_matrix:
-        """E over the unknowns that the rows of this rank touch."""
+        """Return E over the unknowns that the rows of this rank touch."""
         return self.rows.entries
 
     def of_rows(self, chosen: Indices) -> DistributedIteration:
@@ -193,12 +193,12 @@ class DistributedIteration(ContactIteration):
 
     @property
     def diagonal(self) -> Vector:
-        """D = diag K (n_here,) [force / length]."""
+        """Return D = diag K (n_here,) [force / length]."""
         return self._problem.metric
 
     @property
     def own_compliance(self) -> Vector:
-        """E_i D^-1 E_i' (m_here + k_here,) [length / force]."""
+        """Return E_i D^-1 E_i' (m_here + k_here,) [length / force]."""
         return self._own_compliance
 
     def product(self, x: Vector) -> Vector:

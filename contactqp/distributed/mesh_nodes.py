@@ -44,12 +44,12 @@ class Nodes:
 
     @cached_property
     def own(self) -> Index:
-        """The nodes (k,) that this rank owns, in PETSc's order."""
+        """Return the nodes (k,) that this rank owns, in PETSc's order."""
         return np.flatnonzero(self.owners == self.ranks.rank)
 
     @cached_property
     def ghosts(self) -> Index:
-        """The nodes (N - k,) that other ranks own."""
+        """Return the nodes (N - k,) that other ranks own."""
         return np.flatnonzero(self.owners != self.ranks.rank)
 
     def summed(self, values: Array) -> Array:
@@ -148,7 +148,7 @@ class ContactSurfaces:
 
     @property
     def size(self) -> int:
-        """The number d t of unknowns."""
+        """Return the number d t of unknowns."""
         return int(self.points.size)
 
     def body(self, name: str) -> Any:

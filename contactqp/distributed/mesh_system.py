@@ -39,27 +39,27 @@ class PieceSystem:
 
     @property
     def ranks(self) -> Ranks:
-        """The processes."""
+        """Return the processes."""
         return self.nodes.ranks
 
     @property
     def dimension(self) -> int:
-        """The number d of unknowns of a node."""
+        """Return the number d of unknowns of a node."""
         return len(self.structure.bodies[0].axes)
 
     @cached_property
     def constrained(self) -> Mask:
-        """Flags (k d,) of the unknowns that supports constrain."""
+        """Return flags (k d,) of the unknowns that supports constrain."""
         return ~np.isnan(self.prescribed)
 
     @cached_property
     def support_displacement(self) -> Vector:
-        """The prescribed displacements (k d,), 0 at free unknowns [length]."""
+        """Return the prescribed displacements (k d,), 0 at free unknowns [length]."""
         return np.where(self.constrained, self.prescribed, 0.0)
 
     @cached_property
     def parts(self) -> StiffnessParts:
-        """K in the parts that the problem and its answers need; collective when they are first asked for."""
+        """Return K in the parts that the problem and its answers need; collective when they are first asked for."""
         PETSc = petsc()
         K = assemble_stiffness([self.structure.solid(body.name) for body in self.structure.bodies], self.nodes)
         support_product = Product(K)(self.support_displacement)

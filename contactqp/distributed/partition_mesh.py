@@ -43,7 +43,7 @@ class Share:
 
     @property
     def facets(self) -> Index:
-        """The nodes (E facets, k) of all facets, element by element."""
+        """Return the nodes (E facets, k) of all facets, element by element."""
         return self.nodes[:, list(self.kind.facets)].reshape(self.marks.size, len(self.kind.facets[0]))
 
 

@@ -91,38 +91,40 @@ class DistributedProblem:
 
     @property
     def contacts(self) -> int:
-        """The number m_here of contacts on this rank."""
+        """Return the number m_here of contacts on this rank."""
         return len(self.gap)
 
     @property
     def ties(self) -> int:
-        """The number k_here of ties on this rank."""
+        """Return the number k_here of ties on this rank."""
         return len(self.tie_value)
 
     @cached_property
     def dimension(self) -> int:
-        """The number of unconstrained unknowns on all ranks; collective when it is first asked for."""
+        """Return the number of unconstrained unknowns on all ranks; collective when it is first asked for."""
         return int(self.ranks.sum(int(np.sum(~self.constrained))))
 
     @property
     def frictional(self) -> bool:
-        """Whether any contact of any rank has friction. Collective."""
+        """Return whether any contact of any rank has friction. Collective."""
         return self.ranks.any(self.friction is not None and np.any(self.friction > 0))
 
     @cached_property
     def diagonal(self) -> Vector:
-        """K_jj (n_here,) [force / length]."""
+        """Return K_jj (n_here,) [force / length]."""
         return np.array(self.stiffness.getDiagonal().array)
 
     @cached_property
     def metric(self) -> Vector:
-        """D (n_here,): K_jj, or the largest K_jj where an unknown has no stiffness; collective when first asked for."""
+        """Return D (n_here,): K_jj, or the largest K_jj where an unknown has no stiffness; collective when first asked
+        for.
+        """
         largest = self.ranks.max(float(np.max(self.diagonal, initial=0.0))) or 1.0
         return np.where(self.diagonal > 0, self.diagonal, largest)
 
     @cached_property
     def product(self) -> Product:
-        """The function x -> K x. Collective."""
+        """Return the function x -> K x. Collective."""
         return Product(self.stiffness)
 
     def product_sizes(self, x: Vector) -> Vector:
@@ -341,43 +343,43 @@ class DistributedSolution:
 
     @cached_property
     def displacement(self) -> Vector:
-        """u (n,) in the numbers of one process."""
+        """Return u (n,) in the numbers of one process."""
         return self.problem.gathered(self.answer.displacement, self.problem.dof_number)
 
     @cached_property
     def normal_force(self) -> Vector:
-        """The normal forces (m,), positive in compression."""
+        """Return the normal forces (m,), positive in compression."""
         return self._of_contacts(self.answer.normal_force)
 
     @cached_property
     def friction_force(self) -> Array | None:
-        """The friction forces (m, d-1); None without tangential rows."""
+        """Return the friction forces (m, d-1); None without tangential rows."""
         return None if self.answer.friction_force is None else self._of_contacts(self.answer.friction_force)
 
     @cached_property
     def tie_force(self) -> Vector:
-        """The forces (k,) on the ties."""
+        """Return the forces (k,) on the ties."""
         return self.problem.gathered(self.answer.tie_force, self.problem.tie_number)
 
     @cached_property
     def gap(self) -> Vector:
-        """g - E_N u (m,), positive when open [length]."""
+        """Return g - E_N u (m,), positive when open [length]."""
         return self._of_contacts(self.problem.gap - self.problem.normal.lengths(self.answer.displacement))
 
     @cached_property
     def contact_status(self) -> NDArray[np.str_]:
-        """The status (m,) of each contact: open, closed, grazing, stick or slip."""
+        """Return the status (m,) of each contact: open, closed, grazing, stick or slip."""
         return self._of_contacts(self.status)
 
     @cached_property
     def free_motions(self) -> tuple[Vector, ...]:
-        """The motions (n,) that no load drives and nothing resists; the largest component of each is one."""
+        """Return the motions (n,) that no load drives and nothing resists; the largest component of each is one."""
         every = [self.problem.gathered(motion, self.problem.dof_number) for motion in self.motions.T]
         return tuple(motion / motion[np.argmax(abs(motion))] for motion in every)
 
     @cached_property
     def energy(self) -> float:
-        """1/2 u'Ku - f'u [force * length]."""
+        """Return 1/2 u'Ku - f'u [force * length]."""
         u = self.answer.displacement
         return self.problem.ranks.dot(u, self.problem.product(u) / 2 - self.problem.load)
 

@@ -60,12 +60,12 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """The number a of rows on this rank."""
+        """Return the number a of rows on this rank."""
         return int(self.entries.shape[0])
 
     @cached_property
     def sizes(self) -> sp.csr_matrix:
-        """The entries (a, t) without their signs, |E|."""
+        """Return the entries (a, t) without their signs, |E|."""
         return abs(self.entries)
 
     def at_touched(self, x: Vector) -> Vector:
@@ -157,7 +157,7 @@ class StoredRows:
 
     @property
     def unknowns_of_others(self) -> NDArray[Any]:
-        """The numbers of the unknowns in the blocks `others`."""
+        """Return the numbers of the unknowns in the blocks `others`."""
         return (self.others[:, None] * self.size + np.arange(self.size)).ravel()
 
 

@@ -313,7 +313,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
     @property
     def certificate(self) -> Certificate:
-        """The certificate of the solution behind it."""
+        """Return the certificate of the solution behind it."""
         return self.solution.certificate
 
     @property

@@ -61,7 +61,7 @@ class Plane:
 
     @property
     def dimension(self) -> int:
-        """The dimension of space, 2 or 3."""
+        """Return the dimension of space, 2 or 3."""
         return len(self.point)
 
     def outward(self) -> Numbers:

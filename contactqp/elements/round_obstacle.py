@@ -132,7 +132,7 @@ class Cylinder:
 
     @property
     def dimension(self) -> int:
-        """The dimension of space, 2 or 3."""
+        """Return the dimension of space, 2 or 3."""
         return 3
 
     def distance(self, points: Any) -> Array:
@@ -218,7 +218,7 @@ class Paraboloid:
 
     @property
     def dimension(self) -> int:
-        """The dimension of space, 2 or 3."""
+        """Return the dimension of space, 2 or 3."""
         return len(self.apex)
 
     def distance(self, points: Any) -> Array:

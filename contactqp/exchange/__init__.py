@@ -1,1 +1,1 @@
-"""Files of other codes, one format a module: FCLIB's HDF5 in and out, Siconos's text in."""
+"""Files of other codes, one format a module: matrices, answers, decks, frictional contact of FCLIB and Siconos."""

@@ -199,7 +199,7 @@ class StoredAnswer:
 
     @property
     def finite(self) -> bool:
-        """Whether every force is a number."""
+        """Return whether every force is a number."""
         joint = self.joint_force
         return bool(np.all(np.isfinite(self.force)) and (joint is None or np.all(np.isfinite(joint))))
 

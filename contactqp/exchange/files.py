@@ -62,12 +62,14 @@ def check_dimension(path: Path, place: str, dimension: int) -> int:
 
 
 def check_finite(path: Path, place: str, values: Array) -> None:
+    """Raise InvalidProblem for values that are not finite; the message names file and place."""
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise wrong(path, place, "finite numbers", f"{values[bad[0]]} at [{bad[0]}]")
 
 
 def check_friction(path: Path, place: str, friction: Array) -> None:
+    """Raise InvalidProblem for negative coefficients of friction; the message names file and place."""
     if np.any(friction < 0):
         worst = int(np.argmin(friction))
         raise wrong(path, place, "coefficients of friction >= 0", f"{friction[worst]:.6g} at contact {worst}")

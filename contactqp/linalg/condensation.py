@@ -161,7 +161,7 @@ class Condensation:
 
     @property
     def back_substitutions(self) -> int:
-        """The number of right-hand sides solved so far, forward and backward."""
+        """Return the number of right-hand sides solved so far, forward and backward."""
         return (self._spent + self._elimination.half_substitutions + 1) // 2
 
     def _scale(self, of_stiffness: Array) -> Array:
@@ -208,17 +208,17 @@ class Condensation:
 
     @cached_property
     def bodies(self) -> Indices:
-        """The number of the body, a connected part of K, that each retained unknown belongs to (p,)."""
+        """Return the number of the body, a connected part of K, that each retained unknown belongs to (p,)."""
         return np.asarray(connected_parts(self._sparse)[1][self.retained])
 
     @cached_property
     def delassus(self) -> Delassus:
-        """The Delassus operator of the contacts and ties, which a condensed problem shares."""
+        """Return the Delassus operator of the contacts and ties, which a condensed problem shares."""
         return Delassus(self) if self._before is None else self._before.delassus
 
     @cached_property
     def lost_digits(self) -> float:
-        """The rounding error of S relative to its diagonal."""
+        """Return the rounding error of S relative to its diagonal."""
         left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
@@ -234,7 +234,7 @@ class Condensation:
 
     @cached_property
     def schur_factor(self) -> DenseCholesky:
-        """The Cholesky factors of S in its scale.
+        """Return the Cholesky factors of S in its scale.
 
         Its pivots are those in that scale: a diagonal that is all rounding must not be scaled to one.
         """

@@ -85,12 +85,12 @@ class ContactIteration(ABC):
     @property
     @abstractmethod
     def diagonal(self) -> Vector:
-        """The diagonal D of K (n,) [force / length]."""
+        """Return the diagonal D of K (n,) [force / length]."""
 
     @property
     @abstractmethod
     def own_compliance(self) -> Vector:
-        """The compliances E_i D^-1 E_i' of all rows (m + k,) [length / force]."""
+        """Return the compliances E_i D^-1 E_i' of all rows (m + k,) [length / force]."""
 
     @abstractmethod
     def product(self, x: Vector) -> Vector:

@@ -60,7 +60,7 @@ class ContactOperators:
 
     @property
     def floats(self) -> bool:
-        """Whether a body is held by contacts alone."""
+        """Return whether a body is held by contacts alone."""
         return len(self.J) > 0
 
     def operator(self, rows: Indices, joints: int) -> Array:
@@ -288,17 +288,17 @@ class FrictionalRows:
 
     @cached_property
     def compliance(self) -> Array:
-        """The pseudoinverse S^+ (p, p): the inverse of S, zero on the rigid motions."""
+        """Return the pseudoinverse S^+ (p, p): the inverse of S, zero on the rigid motions."""
         return compliance_of(self.S, self.motions)
 
     @cached_property
     def response(self) -> Array:
-        """S^+ R' (p, d m + k): the displacements that a unit of each force makes."""
+        """Return S^+ R' (p, d m + k): the displacements that a unit of each force makes."""
         return np.asarray(self.compliance @ self.all_rows.T)
 
     @cached_property
     def W(self) -> Array:
-        """R S^+ R' (d m + k, d m + k)."""
+        """Return R S^+ R' (d m + k, d m + k), R the rows."""
         return np.asarray(self.all_rows @ self.response)
 
     def lengths(self, problem: ContactProblem) -> tuple[Vector, Vector, Vector]:

@@ -142,17 +142,19 @@ class RigidMotions:
 
     @cached_property
     def count(self) -> int:
-        """The number of motions."""
+        """Return the number of motions."""
         return int(self.motions.shape[1])
 
     @property
     def uncertainty(self) -> float:
-        """How much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them apart."""
+        """Return how much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them
+        apart.
+        """
         return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
 
     @cached_property
     def basis(self) -> Array:
-        """An orthonormal basis (n, r), as accurate at every unknown as the motions are."""
+        """Return an orthonormal basis (n, r), as accurate at every unknown as the motions are."""
         return orthonormal(self.motions)
 
     def coordinates(self, displacement: Vector, diagonal: Vector) -> Vector:
@@ -312,7 +314,7 @@ class Condensed(Protocol):
 
     @property
     def schur_factor(self) -> DenseCholesky:
-        """The Cholesky factors of the scaled Schur complement."""
+        """Return the Cholesky factors of the scaled Schur complement."""
 
     @property
     def delassus(self) -> Delassus:

@@ -152,12 +152,12 @@ class FloatingMotions(MotionProjections):
 
     @property
     def count(self) -> int:
-        """The number r of motions."""
+        """Return the number r of motions."""
         return int(self.motions.shape[1])
 
     @cached_property
     def moved(self) -> Array:
-        """E Z (a, r), zero where it is rounding: a row that a motion moves by rounding alone does not resist it."""
+        """Return E Z (a, r), zero where it is rounding, as a row that a motion moves by no more does not resist it."""
         own = np.sqrt(reciprocal(self._stiffness))
         columns = [np.zeros((len(own), 0))]
         for z in self.motions.T:

@@ -211,17 +211,17 @@ class CentralPoint:
 
     @property
     def closed(self) -> Mask:
-        """The contacts whose force exceeds their slack (m,)."""
+        """Return the contacts whose force exceeds their slack (m,)."""
         return np.asarray(self.force > self.slack)
 
     @property
     def answer(self) -> Answer:
-        """The point as an answer."""
+        """Return the point as an answer."""
         return Answer(self.displacement, np.where(self.closed, self.force, 0.0), None, self.tie_force)
 
     @property
     def work(self) -> float:
-        """The work l's of forces l on slacks s, which measures the distance from the solution."""
+        """Return the work l's of forces l on slacks s, which measures the distance from the solution."""
         return float(self.force @ self.slack)
 
 

@@ -60,7 +60,7 @@ class Combination:
 
     @property
     def flags(self) -> Mask:
-        """Flags (2, m) that tell one combination from another; in the plane (3, m), with the direction."""
+        """Return flags (2, m) that tell one combination from another; in the plane (3, m), with the direction."""
         parts = [self.closed, self.stick]
         if self.direction.shape[1] == 1:
             parts.append(self.direction[:, 0] > 0)
@@ -224,7 +224,7 @@ class FrictionRows:
 
     @property
     def tangential(self) -> sp.csr_matrix:
-        """The tangential rows E_T over the unknowns that the rows touch."""
+        """Return the tangential rows E_T over the unknowns that the rows touch."""
         return self.iteration.entries[self.plain :]
 
 

@@ -192,17 +192,17 @@ class Pardiso:
 
     @property
     def order(self) -> Indices:
-        """The unknowns (n,) in the order in which they were eliminated, where none is retained."""
+        """Return the unknowns (n,) in the order in which they were eliminated, where none is retained."""
         return self._analysis.chosen.astype(np.intp)
 
     @property
     def entries_of_factors(self) -> int:
-        """The number of entries of the factors by the analysis, whose predicted memory grows with its threads."""
+        """Return the number of entries of the factors by the analysis, whose predicted memory grows with threads."""
         return int(self._analysis.settings[ENTRIES])
 
     @property
     def predicted_memory(self) -> int:
-        """The bytes that analysis, factors and solutions take at their peak, as the analysis predicts."""
+        """Return the bytes that analysis, factors and solutions take at their peak, as the analysis predicts."""
         told = self._analysis.settings
         return 1024 * max(int(told[PEAK_OF_ANALYSIS]), int(told[STAYS]) + int(told[OF_FACTORS]))
 

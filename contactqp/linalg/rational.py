@@ -85,6 +85,7 @@ def stack(*blocks: fmpq_mat) -> fmpq_mat:
 
 
 def beside(*blocks: fmpq_mat) -> fmpq_mat:
+    """Return the matrix [A, B, ...] of blocks with equally many rows."""
     return stack(*(b.transpose() for b in blocks)).transpose()
 
 

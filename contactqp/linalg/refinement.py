@@ -67,7 +67,7 @@ class OnSet(ExtendedAnswer):
 
     @property
     def rounding_of_gaps(self) -> Vector:
-        """The lengths (m,) below which gaps cannot be distinguished from zero."""
+        """Return the lengths (m,) below which gaps cannot be distinguished from zero."""
         return np.maximum(WITHIN_ROUNDING * self.lengths, self.nothing[: len(self.lengths)])
 
 

@@ -166,7 +166,7 @@ class Elimination(Protocol):
 
     @property
     def half_substitutions(self) -> int:
-        """The number of substitutions, forward or backward, with one right-hand side each."""
+        """Return the number of substitutions, forward or backward, with one right-hand side each."""
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
         """Return f_S (p,), and what `expand` needs of the load."""
@@ -243,7 +243,7 @@ class NestedBlock:
 
     @property
     def half_substitutions(self) -> int:
-        """With the sparse factors."""
+        """Return the number of substitutions with the sparse factors."""
         return self._outer.half_substitutions - self._before
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:

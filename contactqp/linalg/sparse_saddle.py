@@ -271,7 +271,7 @@ class ClosedState:
 
     @property
     def residual(self) -> float:
-        """The larger of the two relative residuals."""
+        """Return the larger of the two relative residuals."""
         return max(self.force_residual, self.length_residual)
 
     def better_than(self, before: ClosedState, part: float = 1.0) -> bool:
@@ -292,17 +292,17 @@ class ClosedState:
 
     @property
     def solved(self) -> bool:
-        """Whether equilibrium, closed contacts and ties are met together."""
+        """Return whether equilibrium, closed contacts and ties are met together."""
         return self.residual <= MET and self.unmet <= MET_BESIDE_IMPOSED
 
     @property
     def pulled(self) -> Mask:
-        """The closed contacts that are held in tension (m,)."""
+        """Return the closed contacts that are held in tension (m,)."""
         return np.asarray(self.closed & (self.answer.normal_force.double() < -SIGNED * self.force))
 
     @property
     def penetrated(self) -> Mask:
-        """The open contacts that are penetrated (m,).
+        """Return the open contacts that are penetrated (m,).
 
         Unknowns without stiffness that run away make the largest length as large as you like: beside the lengths that
         meet at the contact and those that stiff unknowns move, a penetration is no rounding of it.
@@ -316,7 +316,7 @@ class ClosedState:
 
     @property
     def holds(self) -> bool:
-        """Whether the answer solves the problem: residuals are small, no contact pulls and none is penetrated."""
+        """Return whether the answer solves the problem: residuals are small, no contact pulls or is penetrated."""
         return self.solved and not (self.pulled.any() or self.penetrated.any())
 
 

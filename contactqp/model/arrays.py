@@ -290,13 +290,13 @@ class StageClock:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """The seconds so far by stage; those outside of any have the name ''."""
+        """Return the seconds so far by stage; those outside of any have the name ''."""
         self._charge()
         return dict(self._seconds)
 
     @property
     def back_substitutions(self) -> int:
-        """The number of right-hand sides solved, forward and backward."""
+        """Return the number of right-hand sides solved, forward and backward."""
         return (self.half_substitutions + 1) // 2
 
     @contextmanager

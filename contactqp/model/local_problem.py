@@ -199,7 +199,7 @@ class LocalProblem(ReadOnly):
 
     @property
     def own_compliances(self) -> Array:
-        """The largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
+        """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
         entries, d = self.delassus.tocoo(), self.dimension
         kind = np.minimum(entries.row % d, 1)
         own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
@@ -214,7 +214,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def contact_scale(self) -> Vector:
-        """The factors s_i of the contacts' rows (m,) that give every contact's own block a mean diagonal of one.
+        """Return the factors s_i of the contacts' rows (m,) that give every contact's own block a mean diagonal of one.
 
         s_i u_i and r_i / s_i are roots of energies. A contact without a compliance of its own is given a row of V, or
         else an offset, as large as the other contacts have.
@@ -235,7 +235,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def scaled_delassus(self) -> Any:
-        """The CSR matrix s_i W_ij s_j (d m, d m), s being the `contact_scale`."""
+        """Return the CSR matrix s_i W_ij s_j (d m, d m), s being the `contact_scale`."""
         scale, W = np.repeat(self.contact_scale, self.dimension), self.delassus
         row = np.repeat(np.arange(W.shape[0]), np.diff(W.indptr))
         data = (scale[row] * W.data) * scale[W.indices]
@@ -243,19 +243,19 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def scaled_asymmetry(self) -> float:
-        """`asymmetry` of `scaled_delassus`, which no contact's own unit changes."""
+        """Return `asymmetry` of `scaled_delassus`, which no contact's own unit changes."""
         return _asymmetry(self.scaled_delassus)
 
     @cached_property
     def joint_scale(self) -> Vector:
-        """The factors (p,) that give the columns of V, scaled by `contact_scale`, unit length."""
+        """Return the factors (p,) that give the columns of V, scaled by `contact_scale`, unit length."""
         scaled = self.bilateral.toarray() * np.repeat(self.contact_scale, self.dimension)[:, None]
         size = np.linalg.norm(scaled, axis=0)
         return read_only(np.asarray(1.0 / np.where(size > 0, size, 1.0)))
 
     @cached_property
     def drive(self) -> float:
-        """The root mean square of scaled offsets of contacts that overlap without forces, or of loads of joints.
+        """Return the root mean square of scaled offsets of contacts that overlap without forces, or of loads of joints.
 
         It is the larger of the two: without either, no forces are an answer. A contact that is far has no part in it.
         """
@@ -264,7 +264,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def typical_velocity(self) -> float:
-        """The `drive`, or where there is none, the scaled offset of the nearest contact that waits; or 1."""
+        """Return the `drive`, or where there is none, the scaled offset of the nearest contact that waits; or 1."""
         sizes = np.max(abs(self._scaled_offset), axis=1, initial=0.0)
         waiting = sizes[sizes > 0]
         return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
@@ -465,7 +465,7 @@ class GlobalProblem(ReadOnly):
 
     @property
     def symmetric(self) -> bool:
-        """Whether M is symmetric within the tolerance of a ContactProblem."""
+        """Return whether M is symmetric within the tolerance of a ContactProblem."""
         return self.asymmetry <= SYMMETRY_TOLERANCE
 
     @property

@@ -297,7 +297,7 @@ class ContactProblem:
 
     @cached_property
     def diagonal(self) -> Vector:
-        """The diagonal entries K_jj (n,), looked up once for a stiffness."""
+        """Return the diagonal entries K_jj (n,), looked up once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
             of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
@@ -306,7 +306,7 @@ class ContactProblem:
 
     @cached_property
     def own_scale(self) -> Vector:
-        """The scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
+        """Return the scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
             of_stiffness.own_scale = inverse_root(self.diagonal)
@@ -315,7 +315,7 @@ class ContactProblem:
 
     @cached_property
     def stiffness_rows(self) -> Any:
-        """K as a CSR matrix; a symmetric one has the same arrays by rows as by columns."""
+        """Return K as a CSR matrix; a symmetric one has the same arrays by rows as by columns."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.rows is None:
             K = self.stiffness
@@ -329,7 +329,7 @@ class ContactProblem:
 
     @cached_property
     def stiffness_sizes(self) -> Any:
-        """|K| as a CSR matrix."""
+        """Return |K| as a CSR matrix."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.sizes is None:
             rows = self.stiffness_rows
@@ -351,14 +351,14 @@ class ContactProblem:
 
     @cached_property
     def load_size(self) -> Vector:
-        """The sizes of the forces that add up to `load` (n,), which exceed |load| where forces cancel."""
+        """Return the sizes of the forces that add up to `load` (n,), which exceed |load| where forces cancel."""
         size = abs(self.load) if self.load_sum is None else self.load_sum
         size.setflags(write=False)
         return size
 
     @cached_property
     def frictional(self) -> bool:
-        """Whether any contact has a positive coefficient of friction."""
+        """Return whether any contact has a positive coefficient of friction."""
         return self.friction is not None and bool(np.any(self.friction > 0))
 
     def replace(self, **changes: Any) -> ContactProblem:
@@ -418,7 +418,7 @@ class ContactProblem:
 
     @cached_property
     def is_near_one(self) -> bool:
-        """Whether all unknowns have stiffness and no number is far from one: `number_range` asks further where not."""
+        """Return whether all unknowns have stiffness and no number is far from one; else `number_range` decides."""
         rows = [one.data for one in (self.normal, self.tie, self.tangent) if one is not None]
         lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
         largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)
@@ -426,7 +426,7 @@ class ContactProblem:
 
     @cached_property
     def is_small(self) -> bool:
-        """Whether bodies, stiff all over, have so few unknowns and rows that condensing them costs next to nothing."""
+        """Return whether bodies, stiff all over, have so few unknowns and rows that condensing hardly costs time."""
         rows = self.contacts + self.ties + (0 if self.tangent is None else self.tangent.shape[0])
         return max(self.dimension, rows) < WORTHWHILE and bool(self.diagonal.all())
 
@@ -453,7 +453,7 @@ class ContactProblem:
 
     @property
     def lock(self) -> Any:
-        """A lock, held while something is computed that problems with the same stiffness and rows share.
+        """Return a lock, held while something is computed that problems with the same stiffness and rows share.
 
         Every process has its own: one that is forked while another thread holds it would wait for ever.
         """

@@ -215,7 +215,7 @@ class LocalCertificate(ReadOnly, Printed):
 
     @property
     def proven(self) -> bool:
-        """Whether the errors of the forces could be bounded."""
+        """Return whether the errors of the forces could be bounded."""
         return self.force_error is not None
 
     def __bool__(self) -> bool:
@@ -224,7 +224,7 @@ class LocalCertificate(ReadOnly, Printed):
 
     @property
     def basis(self) -> str:
-        """The basis of the verdict, always "figures"."""
+        """Return the basis of the verdict, always "figures"."""
         return "figures"
 
     def __str__(self) -> str:
@@ -292,7 +292,7 @@ class Raw(ReadOnly):
 
     @cached_property
     def certificate(self) -> Certificate:
-        """The certificate of the unpolished answer."""
+        """Return the certificate of the unpolished answer."""
         return self.judge(self.problem, self.displacement, self.normal_force, self.friction_force, self.tie_force)
 
 
@@ -347,12 +347,12 @@ class Solution(ReadOnly):
 
     @property
     def gap(self) -> Vector:
-        """g - E_N u, positive when open [length]."""
+        """Return g - E_N u, positive when open [length]."""
         return read_only(np.asarray(self.problem.gap - self.problem.normal @ self.displacement))
 
     @property
     def slip(self) -> Array | None:
-        """E_T u - slip_origin, (m, d-1) [length], or None without tangential rows."""
+        """Return E_T u - slip_origin, (m, d-1) [length], or None without tangential rows."""
         problem = self.problem
         if problem.tangent is None or problem.slip_origin is None:
             return None
@@ -361,7 +361,7 @@ class Solution(ReadOnly):
 
     @property
     def energy(self) -> float:
-        """1/2 u'Ku - f'u."""
+        """Return 1/2 u'Ku - f'u."""
         return self.problem.energy(self.displacement)
 
     def at(self, unknown: str | int) -> float:

@@ -39,7 +39,7 @@ class SolverReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every answer is right."""
+        """Return whether every answer is right."""
         return all(one.verdict == "right" for one in self.verdicts)
 
     @property

@@ -91,12 +91,12 @@ class BodyFields:
 
     @property
     def points(self) -> Array:
-        """The initial positions of the nodes, (N, d) [length]."""
+        """Return the initial positions of the nodes, (N, d) [length]."""
         return self.body.mesh.points
 
     @cached_property
     def von_mises(self) -> Vector:
-        """The von Mises equivalent of `stress`, (N,) [force / length^2]."""
+        """Return the von Mises equivalent of `stress`, (N,) [force / length^2]."""
         return von_mises(self.stress)
 
 
@@ -157,7 +157,7 @@ class ContactFields:
 
     @property
     def dimension(self) -> int:
-        """The dimension d of space, 2 or 3."""
+        """Return the dimension d of space, 2 or 3."""
         return self.bodies[0].body.dimension
 
 

@@ -93,7 +93,7 @@ class FrameFields:
 
     @property
     def upright(self) -> bool:
-        """Whether the nodes stand above each other: those of one axis that is not x."""
+        """Return whether the nodes stand above each other: those of one axis that is not x."""
         return self.axes in (("y",), ("z",))
 
     def flat(self, points: Array, row: float) -> Array:

@@ -59,7 +59,7 @@ class HistoryFields:
 
     @property
     def proportional(self) -> bool:
-        """Whether the load is the time times one load: the times are load factors."""
+        """Return whether the load is the time times one load: the times are load factors."""
         if self.load is None or not np.any(self.load) or not np.any(self.times):
             return False
         whole = self.times @ self.load / (self.times @ self.times)
@@ -308,7 +308,7 @@ class Part:
 
     @property
     def size(self) -> float:
-        """The sum of the sizes of the pattern's forces [force]."""
+        """Return the sum of the sizes of the pattern's forces [force]."""
         return float(np.sum(abs(self.pattern)))
 
 

@@ -113,6 +113,7 @@ def _even(times: Array, values: Array) -> Array:
 
 
 def of_contacts(judgement: Judgement, history: History) -> Iterator[tuple[str, Array]]:
+    """Yield names of contacts with their normal forces over a history [force]; of very many, one sum."""
     forces = np.asarray(history.normal_forces).reshape(len(history), -1)
     model = judgement.model
     if not isinstance(model, NodeModel):

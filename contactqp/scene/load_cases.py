@@ -35,7 +35,7 @@ class CaseAnswers:
 
     @property
     def met(self) -> bool:
-        """Whether every load case has a certified answer."""
+        """Return whether every load case has a certified answer."""
         return bool(self.solutions.passed.all())
 
 

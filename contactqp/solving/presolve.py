@@ -291,13 +291,13 @@ class PresolvedRun(Run):
 
     @property
     def expanded(self) -> Candidate:
-        """The candidate in the unknowns and rows of the problem."""
+        """Return the candidate in the unknowns and rows of the problem."""
         whole: Candidate = self._fewer.spread(self._run.expanded)
         return whole
 
     @property
     def start(self) -> Candidate:
-        """The start for another load."""
+        """Return the start for another load."""
         whole: Candidate = self._fewer.spread(self._run.start)
         return whole
 

@@ -114,12 +114,12 @@ class Run(ABC):
 
     @property
     def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem."""
+        """Return the candidate in the unknowns of the problem."""
         return self.candidate
 
     @property
     def start(self) -> Candidate:
-        """The start for another load, in the problem's unknowns; exact only if the method was shown those."""
+        """Return the start for another load, in the problem's unknowns; exact only if the method was shown those."""
         return self.candidate
 
     @abstractmethod
@@ -273,7 +273,7 @@ class CondensedRun(Run):
 
     @cached_property
     def expanded(self) -> Candidate:
-        """The candidate in the unknowns of the problem, by a back-substitution that polishing does without."""
+        """Return the candidate in the unknowns of the problem, by a back-substitution that polishing does without."""
         if self._whole:
             return self.candidate
         _, inner = self._condensation.reduce_load(self.problem.load)
@@ -281,7 +281,7 @@ class CondensedRun(Run):
 
     @property
     def start(self) -> Candidate:
-        """The start for another load, in the problem's unknowns; exact only if the method was shown those."""
+        """Return the start for another load, in the problem's unknowns; exact only if the method was shown those."""
         if self._whole:
             return self.candidate
         displacement = np.zeros(self.problem.dimension)

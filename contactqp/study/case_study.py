@@ -51,12 +51,12 @@ class CaseStudy:
 
     @cached_property
     def expected(self) -> FullLoad:
-        """The expectations of the case under the full load."""
+        """Return the expectations of the case under the full load."""
         return FullLoad(self.scene)
 
     @cached_property
     def follow(self) -> FollowHistory | None:
-        """The function that follows the history to its last solution; None where one solve gives it.
+        """Return the function that follows the history to its last solution; None where one solve gives it.
 
         The answer depends on the history with friction on a load path, in a motion and at large deformations.
         """
@@ -68,7 +68,7 @@ class CaseStudy:
 
     @cached_property
     def digest(self) -> str:
-        """The digest of the case file and of the problem that is made of it."""
+        """Return the digest of the case file and of the problem that is made of it."""
         file = self.scene.file
         return digest(b"" if file is None else file.read_bytes(), self.problem)
 

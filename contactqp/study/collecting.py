@@ -381,7 +381,7 @@ class Collector:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on what was kept of an interrupted report, and what was not."""
+        """Return notes on what was kept of an interrupted report, and what was not."""
         kept = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
         return (*kept, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
@@ -436,7 +436,7 @@ class Collector:
 
     @property
     def progress(self) -> str:
-        """What is going on, how far it is, and what is left."""
+        """Return what is going on, how far it is, and what is left."""
         return str(self._progress)
 
     def _count(self, cell: Cell, result: Result) -> None:

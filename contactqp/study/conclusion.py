@@ -88,7 +88,7 @@ class Conclusion:
 
     @property
     def note(self) -> str:
-        """What the lines say of methods with several settings, where there are such; else empty."""
+        """Return what the lines say of methods with several settings, where there are such; else empty."""
         return BEST_OF if any(line.settings > 1 for line in self.lines) else ""
 
     def data(self) -> dict[str, Any]:

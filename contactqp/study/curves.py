@@ -58,7 +58,7 @@ class MethodStyle:
 
     @property
     def hollow(self) -> str:
-        """The symbol without filling."""
+        """Return the symbol without filling."""
         return f"{self.symbol}-open"
 
 

@@ -84,7 +84,7 @@ class FileOutcome:
 
     @property
     def statuses(self) -> dict[str, int]:
-        """The number of contacts in each state: open, sticking, slipping, ..."""
+        """Return the number of contacts in each state: open, sticking, slipping, ..."""
         found = [] if self.solution is None else [str(status) for status in self.solution.contact_status]
         return {status: found.count(status) for status in sorted(set(found))}
 

@@ -154,7 +154,7 @@ class Verified:
 
     @property
     def holds(self) -> bool:
-        """Whether files and verdict are those of the receipt."""
+        """Return whether files and verdict are those of the receipt."""
         return not self.differences
 
     def data(self) -> dict[str, Any]:

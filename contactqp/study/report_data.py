@@ -167,7 +167,7 @@ class Summary:
 
     @property
     def exit_code(self) -> int:
-        """1 if anything claims to be right and is not."""
+        """Return 1 if anything claims to be right and is not."""
         return 1 if self.wrong_but_passed or self.unmet else 0
 
     def cells(self) -> list[list[str]]:
@@ -182,7 +182,7 @@ class Summary:
 
     @property
     def doubt(self) -> str:
-        """The cases that may be wrong themselves; empty where none is in doubt."""
+        """Return the cases that may be wrong themselves; empty where none is in doubt."""
         if not self.contradicted:
             return ""
         return f"see {', '.join(self.contradicted)}: the proven solution contradicts exact values of the case"

@@ -67,7 +67,7 @@ class ReportResult:
 
     @property
     def exit_code(self) -> int:
-        """1 if anything claims to be right and is not, else 0."""
+        """Return 1 if anything claims to be right and is not, else 0."""
         return self.summary.exit_code
 
 

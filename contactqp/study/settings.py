@@ -47,17 +47,17 @@ class Setting:
 
     @property
     def whole(self) -> bool:
-        """Whether the method is to work on all unknowns, without condensation."""
+        """Return whether the method is to work on all unknowns, without condensation."""
         return self.options.get("condense") is False
 
     @property
     def tolerance(self) -> float:
-        """The relative tolerance that is asked of the method."""
+        """Return the relative tolerance that is asked of the method."""
         return float(self.options.get("tolerance", DEFAULT_TOLERANCE))
 
     @property
     def stands_for_exactness(self) -> bool:
-        """Whether the answer must be exact to the last digits, whatever the knob."""
+        """Return whether the answer must be exact to the last digits, whatever the knob."""
         return self.method.exact and (self.variant == "polished" or (self.variant == "" and self.value is None))
 
 

@@ -39,12 +39,12 @@ class Errors:
 
     @property
     def allowed(self) -> float:
-        """The largest value of `judged` of an answer that is right."""
+        """Return the largest value of `judged` of an answer that is right."""
         return ERROR_TOLERANCE + self.allowance
 
     @property
     def small(self) -> bool:
-        """Whether the answer is right."""
+        """Return whether the answer is right."""
         return self.judged <= self.allowed
 
 

@@ -1,0 +1,1 @@
+"""Large deformations: Newton's method with inequality constraints, load control, and paths through limit points."""

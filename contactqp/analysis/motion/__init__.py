@@ -1,0 +1,1 @@
+"""Motions with contact: mass matrices, the steps of a motion, its schemes and its history."""

@@ -92,7 +92,7 @@ class System:
 
     @property
     def matrix(self) -> fmpq_mat:
-        """The matrix [[K, P'], [H, 0]] of displacements and forces, H the rows that hold and P those that push."""
+        """Return the matrix [[K, P'], [H, 0]] of displacements and forces; the rows H hold, the rows P push."""
         rows = self.held.nrows()
         return stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
 
@@ -121,6 +121,7 @@ class System:
 
 
 def system_of(data: RationalProblem, combination: Combination) -> System:
+    """Return the linear system of one combination of open, stick and slip."""
     closed, w = combination.closed, data.width
     normal = take(data.E, closed)
     sticking = [w * i + axis for i in combination.stuck for axis in range(w)]

@@ -436,7 +436,10 @@ class Reduced:
 
 
 def reduce_problem(data: RationalProblem) -> Reduced:
-    """Raises NoSolution where the ties contradict each other."""
+    """Return the problem in its contact forces and the motions without energy that its independent ties allow.
+
+    Raises NoSolution: the ties contradict each other.
+    """
     kept = _independent_ties(data)
     data = RationalProblem(
         data.K, data.f, data.E, data.g, take(data.A, kept), take(data.b, kept), data.T, data.friction, data.slip_origin

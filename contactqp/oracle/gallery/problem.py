@@ -106,17 +106,17 @@ class ExactProblem:
 
     @property
     def unknowns(self) -> int:
-        """The number n of unknowns."""
+        """Return the number n of unknowns."""
         return len(self.stiffness)
 
     @property
     def contacts(self) -> int:
-        """The number m of contacts."""
+        """Return the number m of contacts."""
         return len(self.normal)
 
     @property
     def directions(self) -> int:
-        """Directions of slip a contact: 0, 1 or 2."""
+        """Return how many directions of slip a contact has: 0, 1 or 2."""
         return len(self.tangent) // len(self.normal) if self.normal else 0
 
     def floats(self) -> dict[str, Any]:

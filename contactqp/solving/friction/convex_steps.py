@@ -86,7 +86,9 @@ class ConvexSteps:
 
     @property
     def asymmetry(self) -> float:
-        """max |W - W'| / 2 max |W|, contacts scaled: what a minimisation leaves out of W; 0 where that is rounding."""
+        """Return max |W - W'| / 2 max |W|, contacts scaled: what a minimisation leaves out of W; 0 where that is
+        rounding.
+        """
         return self._form.problem.scaled_asymmetry / 2 if self._form.asymmetric else 0.0
 
     @property
@@ -98,7 +100,7 @@ class ConvexSteps:
 
     @property
     def cone_error(self) -> float:
-        """The largest part of the friction bound that the sets of these steps lose or gain; 0 for true cones."""
+        """Return the largest part of the friction bound that the sets of these steps lose or gain; 0 for true cones."""
         return 0.0 if self.conic or self._form.d == 2 else cone_error(self.facets, self.polygon)
 
     def over_cones(self, shift: Vector) -> tuple[Array, Vector]:

@@ -40,7 +40,7 @@ NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_orig
 
 
 class ExactData:
-    """Matrices are lists of rows.
+    """A problem in Fractions; matrices are lists of rows.
 
     Raises InvalidProblem: a name is unknown, a value is no rational number, or it does not round to the problem's.
     """

@@ -70,22 +70,24 @@ class LocalForm:
 
     @property
     def joints(self) -> int:
-        """The number of joints p."""
+        """Return the number of joints p."""
         return len(self.s)
 
     @cached_property
     def joint_signs(self) -> Vector:
-        """The signs (p,) by which R may be regularised: 1 for joints with a compliance, -1 for conditions on forces."""
+        """Return the signs (p,) by which R may be regularised: 1 for joints with a compliance, -1 for conditions on
+        forces.
+        """
         return np.where(np.any(self.R != 0, axis=1), 1.0, -1.0)
 
     @cached_property
     def asymmetric(self) -> bool:
-        """Whether W is unsymmetric by more than rounding."""
+        """Return whether W is unsymmetric by more than rounding."""
         return self.problem.scaled_asymmetry > 1e-14
 
     @cached_property
     def symmetric_part(self) -> Any:
-        """(W + W')/2, what a minimisation makes of W."""
+        """Return (W + W')/2, what a minimisation makes of W."""
         return (self.W + self.W.T) / 2 if self.asymmetric else self.W
 
     def velocity(self, r: Array, joint: Vector) -> Array:
@@ -165,7 +167,7 @@ class BlockSystem:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Forces on the way, scaled as their `LocalForm`."""
+    """The forces that an algorithm has reached, scaled as their `LocalForm`."""
 
     force: Array  # (m, d)
     joint_force: Vector  # (p,)
@@ -208,7 +210,7 @@ class Deadline:
 
     @property
     def remaining(self) -> float | None:
-        """The seconds left, None without a limit."""
+        """Return the seconds left, None without a limit."""
         return None if self._limit is None else max(self._end - time.perf_counter(), 0.0)
 
     @property

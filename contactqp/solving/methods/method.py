@@ -25,7 +25,7 @@ class Settings:
 
     @property
     def now(self) -> Settings:
-        """The same with what is left of the time of the call."""
+        """Return the same settings with what is left of the time of the call."""
         left = seconds_left()
         return self if self.time_limit is None or left is None else replace(self, time_limit=min(self.time_limit, left))
 
@@ -65,12 +65,12 @@ class Method:
 
     @property
     def friction(self) -> str:
-        """With Coulomb friction: "stick and slip" by its own systems, "convex steps" of algorithms, or none."""
+        """Return how it solves friction: "stick and slip" by its own systems, "convex steps" of algorithms, or none."""
         if self.solve_friction is not None:
             return "stick and slip"
         return "convex steps" if self.exact and self.semidefinite else ""
 
     @property
     def installed(self) -> bool:
-        """Whether every package it needs can be found (nothing is imported to find out)."""
+        """Return whether every package it needs can be found (nothing is imported to find out)."""
         return all(importlib.util.find_spec(package) is not None for package in self.packages)

@@ -73,7 +73,7 @@ class StatusRows:
 
     @property
     def of_contacts(self) -> slice:
-        """The rows that are no ties."""
+        """Return the rows that are no ties."""
         return slice(self.ties.size, None)
 
     def per_row(self, normal: Vector, tangential: Vector) -> Vector:

@@ -306,24 +306,24 @@ class FloatingBodies:
 
     @cached_property
     def rigid(self) -> Array:
-        """(n, r) orthonormal motions that the stiffness does not feel, in unknowns where it has a unit diagonal."""
+        """Return (n, r) orthonormal motions without energy, in unknowns where the stiffness has a unit diagonal."""
         if not condense(self.problem).rigid.count:
             return np.zeros((self.problem.dimension, 0))
         return np.linalg.qr(null_space(self.problem.stiffness).motions / self.scale[:, None])[0]
 
     @cached_property
     def normal(self) -> Array:
-        """(m, n) rows of the contacts, of unit length in these unknowns."""
+        """Return (m, n) rows of the contacts, of unit length in these unknowns."""
         return self.unit(self.problem.normal)
 
     @cached_property
     def tie(self) -> Array:
-        """(k, n) rows of the ties, likewise."""
+        """Return (k, n) rows of the ties, of unit length in these unknowns."""
         return self.unit(self.problem.tie)
 
     @cached_property
     def scale(self) -> Vector:
-        """D (n,) of these unknowns x, u = D x."""
+        """Return D (n,) of these unknowns x, u = D x."""
         return unknown_scale(self.problem)
 
     def unit(self, rows: Any) -> Array:

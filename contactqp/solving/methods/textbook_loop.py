@@ -85,7 +85,7 @@ class Sets:
 
     @cached_property
     def bodies(self) -> FloatingBodies:
-        """The rigid motions, and the rows that feel them."""
+        """Return the rigid motions, and the rows that feel them."""
         return FloatingBodies(self.problem)
 
     def step(self, closed: Mask, preference: Indices) -> Step:

@@ -143,7 +143,7 @@ class CaseView:
 
     @property
     def headline(self) -> str:
-        """Whether all expectations of the case are met, in words."""
+        """Return whether all expectations of the case are met, in words."""
         if self.case.unmet:
             return f"✗ {_counted(len(self.case.unmet), 'expectation')} not met"
         count = sum(len(table.lines) for table in (self.expectations, self.published) if table)
@@ -151,23 +151,23 @@ class CaseView:
 
     @property
     def about(self) -> tuple[str, ...]:
-        """The paragraphs of the description in the case's file, each on one line."""
+        """Return the paragraphs of the description in the case's file, each on one line."""
         paragraphs = re.split(r"\n\s*\n", self.case.about.strip())
         return tuple(" ".join(text.split()) for text in paragraphs if text)
 
     @property
     def picture(self) -> str:
-        """The picture as a data URL; empty where there is none."""
+        """Return the picture as a data URL; empty where there is none."""
         return _url(self.case.picture)
 
     @property
     def thumbnail(self) -> str:
-        """The picture of the geometry alone, small, as a data URL; empty where there is none."""
+        """Return the picture of the geometry alone, small, as a data URL; empty where there is none."""
         return _url(self.case.thumbnail)
 
     @property
     def history_picture(self) -> str:
-        """The picture of the history as a data URL; empty where there is none."""
+        """Return the picture of the history as a data URL; empty where there is none."""
         return _url(self.case.history_picture)
 
 

@@ -261,7 +261,7 @@ class Journal:
 
     @property
     def count(self) -> int:
-        """The number of kept results."""
+        """Return the number of kept results."""
         return len(self._kept)
 
     def find(self, cell: Cell) -> Result | None:

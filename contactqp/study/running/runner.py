@@ -188,7 +188,7 @@ class Stopped(KeyboardInterrupt):
 
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:
-    """Within this, SIGTERM raises Stopped, as Ctrl-C raises KeyboardInterrupt."""
+    """Have SIGTERM raise Stopped within this, as Ctrl-C raises KeyboardInterrupt."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -201,7 +201,7 @@ def stopped_by_signals() -> Iterator[None]:
 
 @contextmanager
 def stopped_after(progress: Callable[[], str]) -> Iterator[None]:
-    """Within this, an interruption raises Stopped with the progress and how to go on."""
+    """Have an interruption within this raise Stopped with the progress and how to go on."""
     try:
         yield
     except KeyboardInterrupt as stop:
@@ -222,10 +222,10 @@ class Watcher(Protocol):
     """Follows the progress of a study."""
 
     def begin(self, cells: Sequence[Cell], found: Mapping[str, Result], /) -> None:
-        """These cells are to be run; `found` holds the results that the journal has already."""
+        """Take note that these cells are to be run; `found` holds the results that the journal has already."""
 
     def done(self, cell: Cell, result: Result, /) -> None:
-        """A cell has been run."""
+        """Take note that a cell has been run."""
 
     def tick(self) -> None:
         """Time has passed: called every `TICK` seconds at least."""

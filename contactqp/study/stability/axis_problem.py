@@ -350,7 +350,7 @@ class Prediction:
 
     @property
     def error(self) -> float | None:
-        """The predicted relative error in λ."""
+        """Return the predicted relative error in λ."""
         return None if self.rounding is None else self.rounding + (self.modelling or 0.0)
 
 

@@ -132,22 +132,22 @@ class StabilityRow:
 
     @property
     def name(self) -> str:
-        """The method with its variant."""
+        """Return the method with its variant."""
         return f"{self.method} ({self.variant})" if self.variant else self.method
 
     @property
     def error(self) -> float | None:
-        """The larger of the errors in u and in λ."""
+        """Return the larger of the errors in u and in λ."""
         return max((x for x in (self.error_displacement, self.error_force) if x is not None), default=None)
 
     @property
     def right(self) -> bool:
-        """Whether the outcome is right."""
+        """Return whether the outcome is right."""
         return self.verdict == report_rows.RIGHT
 
     @property
     def wrong(self) -> bool:
-        """Whether the certificate passed a wrong answer, which must never happen."""
+        """Return whether the certificate passed a wrong answer, which must never happen."""
         return self.verdict == report_rows.WRONG
 
 
@@ -189,12 +189,12 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """The name of the cell, the same in every run."""
+        """Return the name of the cell, the same in every run."""
         return f"stability/{self.axis}={self.value!r}/{self.method}{'/' if self.variant else ''}{self.variant}"
 
     @property
     def arguments(self) -> tuple[str, float, str, str]:
-        """The arguments of `stability_row`."""
+        """Return the arguments of `stability_row`."""
         return self.axis, self.value, self.method, self.variant
 
 

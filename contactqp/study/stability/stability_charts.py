@@ -298,12 +298,12 @@ class BestPenalty:
 
     @property
     def penalty(self) -> float:
-        """The best penalty √(S λ / ulp(g)) [force / length]."""
+        """Return the best penalty √(S λ / ulp(g)) [force / length]."""
         return math.sqrt(self.stiffness * self.force / self.last_place)
 
     @property
     def error(self) -> float:
-        """The relative error 2 √(S ulp(g) / λ) of the best penalty."""
+        """Return the relative error 2 √(S ulp(g) / λ) of the best penalty."""
         return 2 * math.sqrt(self.stiffness * self.last_place / self.force)
 
     def error_at(self, penalty: float) -> float:

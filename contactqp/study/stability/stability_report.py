@@ -173,22 +173,22 @@ class StabilityStudy:
 
     @property
     def wrong(self) -> tuple[StabilityRow, ...]:
-        """Wrong answers that passed without a statement of the certificate: there must be none."""
+        """Return the wrong answers that passed without a statement of the certificate: there must be none."""
         return tuple(row for row in self.rows if row.wrong)
 
     @property
     def flags_wrong(self) -> int:
-        """How often a method's own flag was wrong."""
+        """Return how often a method's own flag was wrong."""
         return sum(row.flag_wrong is True for row in self.rows)
 
     @property
     def refused_right(self) -> tuple[StabilityRow, ...]:
-        """Answers that are right and were refused."""
+        """Return the answers that are right and were refused."""
         return tuple(row for row in self.rows if row.refused_right)
 
     @property
     def exit_code(self) -> int:
-        """1 if anything of ours is wrong and passed, else 0."""
+        """Return 1 if anything of ours is wrong and passed, else 0."""
         return 1 if self.wrong else 0
 
     def cells(self) -> list[list[str]]:
