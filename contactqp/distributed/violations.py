@@ -28,6 +28,8 @@ from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     HELD_BY_DOUBLES,
     OF_ALL_LENGTHS,
+    OF_NEAR_LENGTHS,
+    ROUNDING_OF_LENGTH,
     ROUNDING_OF_LOADS,
     RowSizes,
     beside_yielding,
@@ -108,18 +110,21 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
     if problem.ranks.any(elastic is not u):
         force = np.maximum(force, RIGID_FORCE * problem.product_sizes(abs(u - elastic)))
+    strain = float(np.sqrt(max(problem.ranks.dot(elastic, problem.product(elastic)), 0.0)))
+    least_size = ROUNDING_OF_LENGTH / part * strain if part > 0 else 0.0
     largest = problem.ranks.max(float(np.max(abs(problem.load), initial=0.0)))
     force[untouched(problem)] = ROUNDING_OF_LOADS * float(largest)
 
     def least(rows: Rows, longest: float) -> Vector:
         compliance = row_sizes(problem, rows).compliance
-        none = part * min(size, OF_ALL_LENGTHS * longest) * np.sqrt(compliance)
+        rest = min(max(OF_ALL_LENGTHS * longest, least_size), OF_NEAR_LENGTHS * longest)
+        none = part * min(size, rest) * np.sqrt(compliance)
         return np.asarray(np.maximum(none, HELD_BY_DOUBLES * rows.length_sizes(u)))
 
     longest, tangent = _longest_length(problem, u, along=False), np.zeros(0)
     if problem.tangent is not None:
         tangent = least(problem.tangent, _longest_length(problem, u, along=True))
-    of_contacts = _least_contact_force(problem, u, elastic, size, part, force)
+    of_contacts = _least_contact_force(problem, u, strain, size, part, force)
     return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest), of_contacts)
 
 
@@ -135,16 +140,17 @@ def untouched(problem: DistributedProblem) -> Mask:
 
 
 def _least_contact_force(
-    problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float, none: Vector
+    problem: DistributedProblem, u: Vector, strain: float, size: float, part: float, none: Vector
 ) -> Vector | None:
     """Return the forces (n_here,) up to which a contact pushes or pulls nothing, or None if they are `none`, those of
-    residuals; as `contactqp.linalg.measures` does. Collective.
+    residuals; as `contactqp.linalg.measures` does. `strain` is |u_e|_K. Collective.
     """
     pushed = problem.ranks.max(float(np.max(reciprocal(np.sqrt(problem.diagonal)) * abs(problem.load), initial=0.0)))
     if not 0 < OF_ALL_LENGTHS * pushed < size:
         return None
-    acting = max(pushed, float(np.sqrt(max(problem.ranks.dot(elastic, problem.product(elastic)), 0.0))))
-    loaded = np.where(problem.diagonal > 0, OF_ALL_LENGTHS * part * acting * np.sqrt(problem.diagonal), np.inf)
+    loaded = np.where(
+        problem.diagonal > 0, OF_ALL_LENGTHS * part * max(pushed, strain) * np.sqrt(problem.diagonal), np.inf
+    )
     return np.asarray(np.minimum(none, np.maximum(loaded, HELD_BY_DOUBLES * problem.product_sizes(abs(u)))))
 
 

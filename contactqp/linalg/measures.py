@@ -17,7 +17,8 @@ part, and the few roundings of |K||z| that K, being rounded itself, leaves of a 
 Where contacts carry a load past a spring too weak for it, S is what the spring alone would yield, and says nothing of
 the lengths there are. So no length counts as nothing above 1000 t = 1e-9 of the longest among the gaps, tie values and
 motions |E||u| of the part's rows, each over |E_i D|, where one of the first two is not zero; a slip, likewise, of the
-longest among these, the slip origins and the slips.
+longest among these, the slip origins and the slips. What a solve in doubles rounds may be longer than that where the
+rows hardly move and what is around them does: 1e-14 |u_e|_K of the part is nothing all the same, up to 1e-6 of them.
 
 Where a body crosses a gap rigidly before it is pressed, S says nothing of its loads, and redundant contacts may push
 and pull each other, which no bound sees. So where loads act, no force of a contact is nothing above 1e-9 of the largest
@@ -102,6 +103,8 @@ WITHIN_REACH = 10.0
 BESIDE_OTHERS = 1e-9
 # Lengths are nothing up to a tolerance (1e-9) of the longest one at most, where the intrinsic size allows a thousandth.
 OF_ALL_LENGTHS = 1e3
+# Up to 1e-6, as CLOSED, where that is rounding of what moves around them.
+OF_NEAR_LENGTHS = 1e6
 # What rounding a displacement to doubles makes of forces and lengths, relative to |K||u| and |E||u|: half a rounding of
 # every entry, and the signs are not all alike.
 HELD_BY_DOUBLES = float(np.finfo(float).eps)
@@ -116,8 +119,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     `elastic` (n,) is the displacement without its rigid part.
     """
     D, part = scale_through_rows(problem), parts(problem)
-    strain = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
-    size = np.sqrt(np.maximum(strain, 0.0))
+    size = _strain(problem, part, elastic)
     np.maximum.at(size, part, D * problem.load_size)
     u, stiff = answer.displacement, problem.diagonal > 0
     few_yield = not (stiff.all() or mostly_bare(problem))
@@ -137,6 +139,12 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
         whole = max(whole, least if np.isfinite(least) else 0.0)
         return np.full(len(part), whole)
     return np.asarray(np.where(_driven(problem, part), np.maximum(size, BESIDE_OTHERS * whole), whole)[part])
+
+
+def _strain(problem: ContactProblem, part: Indices, elastic: Vector) -> Vector:
+    """Return |u_e|_K of every part [square root of energy]."""
+    square = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
 def _driven(problem: ContactProblem, part: Indices) -> Mask:
@@ -174,32 +182,35 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         rounded = HELD_BY_DOUBLES * row_sizes(problem, rows).lengths(u)
         return np.asarray(np.maximum(part * of_rows(problem, rows, size), rounded))
 
-    across, tangent = _beside_lengths(problem, u, size, along=False), np.zeros(0)
+    least = ROUNDING_OF_LENGTH / part * elastic if part > 0 else elastic
+    across, tangent = _beside_lengths(problem, u, least, size, along=False), np.zeros(0)
     if problem.tangent is not None:
-        tangent = lengths(problem.tangent, _beside_lengths(problem, u, size, along=True))
+        tangent = lengths(problem.tangent, _beside_lengths(problem, u, least, size, along=True))
     of_contacts = None if of_contacts is None else np.minimum(force, of_contacts)
     tie = lengths(problem.tie, across) if problem.ties else np.zeros(0)
     return Nothing(force, lengths(problem.normal, across), tangent, tie, of_contacts)
 
 
-def _beside_lengths(problem: ContactProblem, displacement: Vector, size: Vector, along: bool) -> Vector:
+def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, along: bool) -> Vector:
     """Return sizes S (n,), where larger cut to 1e3 times the longest of |g|, |b| and |E||u| in the part over |E_i D|.
 
     Lengths `along` contacts count, with their slip origins, only where asked for: what slides far may lie close. Sizes
-    stay as they are in parts where no length is stated.
+    stay as they are in parts where no length is stated, and are not cut below the strain of displacements `least` (n,),
+    but to 1e6 times the longest at most.
     """
     part = parts(problem)
     longest = np.zeros(int(part.max(initial=-1)) + 1)
-    rows_here = [one for one in rows_and_limits(problem) if one[1].size and (along or one[0] is not problem.tangent)]
-    for rows, limit in rows_here:
-        _raise_to(longest, part, row_sizes(problem, rows), np.where(np.isfinite(limit), abs(limit), 0.0))
+    every = [one for one in rows_and_limits(problem) if one[1].size and (along or one[0] is not problem.tangent)]
+    here = [(row_sizes(problem, rows), limit) for rows, limit in every]
+    for of_row, limit in here:
+        _raise_to(longest, part, of_row, np.where(np.isfinite(limit), abs(limit), 0.0))
     cut = (longest > 0)[part] & (size > OF_ALL_LENGTHS * longest[part])
     if not cut.any():
         return size
-    for rows, _ in rows_here:
-        of_row = row_sizes(problem, rows)
+    for of_row, _ in here:
         _raise_to(longest, part, of_row, of_row.lengths(abs(displacement)))
-    return np.where(cut, np.minimum(size, OF_ALL_LENGTHS * longest[part]), size)
+    rest = np.clip(_strain(problem, part, least), OF_ALL_LENGTHS * longest, OF_NEAR_LENGTHS * longest)
+    return np.where(cut, np.minimum(size, rest[part]), size)
 
 
 def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) -> None:
@@ -219,8 +230,7 @@ def _least_contact_force(
     np.maximum.at(acting, of_part, D * problem.load_size)
     if not ((acting > 0)[of_part] & (size > OF_ALL_LENGTHS * acting[of_part])).any():
         return None
-    strain = np.bincount(of_part, weights=elastic * (problem.stiffness_rows @ elastic), minlength=len(acting))
-    acting = np.where(acting > 0, np.maximum(acting, np.sqrt(np.maximum(strain, 0.0))), np.inf)[of_part]
+    acting = np.where(acting > 0, np.maximum(acting, _strain(problem, of_part, elastic)), np.inf)[of_part]
     pushed = np.divide(OF_ALL_LENGTHS * part * acting, D, out=np.full_like(D, np.inf), where=D > 0)
     return np.asarray(np.maximum(pushed, held))
 
@@ -240,8 +250,7 @@ def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
 
 def bodies(problem: ContactProblem) -> Indices:
     """Return the number of the body, a connected part of K, that each unknown belongs to (n,)."""
-    of_stiffness = problem._computed.of_stiffness
-    if of_stiffness.bodies is None:
+    if (of_stiffness := problem._computed.of_stiffness).bodies is None:
         K, n = problem.stiffness_rows, problem.dimension
         one = n > 0 and K.indptr[1] == n and K.has_canonical_format  # the first unknown is joined to each other
         of_stiffness.bodies = np.zeros(n, dtype=np.intp) if one else connected_parts(K)[1].astype(np.intp)
@@ -410,23 +419,10 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     least = ROUNDING_OF_LENGTH * np.sqrt(sizes.compliance)
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if (length <= least * size.max(initial=0.0)).any():
-        length = at_rest_infinite(rows, length, least, largest_of_bodies(problem, size))
+        touched = np.zeros(rows.shape[0])
+        np.maximum.at(touched, _row_of_entries(rows), largest_of_bodies(problem, size)[rows.indices])
+        length = np.where(length <= least * touched, np.inf, length)
     return np.asarray(length)
-
-
-def at_rest_infinite(rows: Any, length: Vector, least: Vector, largest: Vector) -> Vector:
-    """Return lengths of rows, set to infinity where they are rounding of the displacements that the row touches.
-
-    Parameters
-    ----------
-    rows : (r, n) CSR matrix
-    length : (r,) array, |E||u| + |g| of each row [length]
-    least : (r,) array, the fraction of the largest displacement up to which the length is rounding
-    largest : (n,) array, the largest displacement of the body that each unknown belongs to
-    """
-    touched = np.zeros(rows.shape[0])
-    np.maximum.at(touched, _row_of_entries(rows), largest[rows.indices])
-    return np.where(length <= least * touched, np.inf, length)
 
 
 def largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:

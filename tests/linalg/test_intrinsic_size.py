@@ -343,3 +343,17 @@ def test_a_tie_that_an_unknown_without_stiffness_takes_up_hides_no_tension(load:
         assert not cq.certify(problem, solution.displacement, pulling, tie_force=[0.0]).passed
     away = problem.replace(load=[-load, 0.0])
     assert not cq.solve(away).normal_force.any()  # forces that are all zero are accepted
+
+
+@pytest.mark.parametrize("moves", [1.0, 2.0**-6])
+def test_noise_of_what_moves_around_a_contact_is_nothing_where_the_contact_hardly_moves(moves: float) -> None:
+    """A contact closes a gap of 1e-7 or 1e-5 of what its neighbour moves by: what a solve rounds there is no length.
+
+    A gap that is open by 256 times as much is seen all the same.
+    """
+    K, gap = np.array([[8.0, -4.0], [-4.0, 8.0]]), -1e-20
+    u, force = np.array([moves * 2.0**-44, gap]), np.array([2.0**-42 * moves])
+    problem = cq.ContactProblem(K, K @ u + np.array([0.0, force[0]]), [[0.0, 1.0]], [gap])
+    assert cq.certify(problem, u, force).passed
+    assert cq.certify(problem, u - np.array([0.0, 2.0**-51 * u[0]]), force).passed
+    assert not cq.certify(problem, u - np.array([0.0, 2.0**-43 * u[0]]), force).passed
