@@ -328,20 +328,51 @@ def displaced(problem: ContactProblem, answer: Answer, missing: tuple[str, ...])
     how = "the bodies' response, moved along what nothing resists to where the law allows the forces"
     if (shift := _shift_within_law(problem, answer, u, free, closed)) is not None:
         yield _completed(answer, u + shift, tie, missing), how
-    if closed.size:
-        held = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
-        values = np.concatenate([problem.tie_value, problem.gap[closed]])
-        u, forces, free = _held(problem, dragged_load.double(), held, values)
+    for rows, values, held, known in _lengths_held(problem, answer, closed):
+        load = (extend(problem.load) - extended_rows(problem).friction_force(known)).double()
+        u, forces, free = _held(problem, load, rows, values)
         tie = forces[: problem.ties]
-        yield _completed(answer, u, tie, missing), "the bodies' response, the pushing contacts held closed"
+        yield _completed(answer, u, tie, missing), f"the bodies' response, {held}"
         if (shift := _shift_within_law(problem, answer, u, free, closed)) is not None:
-            yield _completed(answer, u + shift, tie, missing), f"{how}, the pushing contacts held closed"
+            yield _completed(answer, u + shift, tie, missing), f"{how}, {held}"
     if not problem.frictional:
         whole = Answer(u, answer.normal_force, None, tie)
         shift, free = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
         if free.shape[1]:
             how = "the bodies' response, moved within the gaps along what no contact resists"
             yield _completed(answer, u + shift, tie, missing), how
+
+
+def _lengths_held(
+    problem: ContactProblem, answer: Answer, closed: Indices
+) -> Iterator[tuple[Any, Vector, str, Array | None]]:
+    """Yield the rows that the law holds where contacts push (`closed`), their values, which they are, and the friction
+    that acts beside them as a load: first ties and normal rows, then the tangential rows of what sticks as well.
+    """
+    if not closed.size:
+        return
+    rows = sp.vstack([sp.csr_matrix(problem.tie), sp.csr_matrix(problem.normal[closed])])
+    values = np.concatenate([problem.tie_value, problem.gap[closed]])
+    yield rows, values, "the pushing contacts held closed", answer.friction_force
+    if problem.tangent is None or problem.slip_origin is None or answer.friction_force is None:
+        return
+    sticking = _inside_the_cone(problem, answer, closed)
+    if sticking.size:
+        width = problem.slip_origin.shape[1]
+        along = problem.tangent[(width * sticking[:, None] + np.arange(width)).ravel()]
+        known = answer.friction_force.copy()
+        known[sticking] = 0.0
+        rows = sp.vstack([rows, sp.csr_matrix(along)])
+        values = np.concatenate([values, problem.slip_origin[sticking].ravel()])
+        yield rows, values, "the pushing contacts held closed, and those inside the cone where they stick", known
+
+
+def _inside_the_cone(problem: ContactProblem, answer: Answer, pushing: Indices) -> Indices:
+    """Return the pushing contacts whose friction is below its bound by more than printed digits may hide."""
+    assert problem.friction is not None
+    assert answer.friction_force is not None
+    bound = (1 - AT_BOUND) * problem.friction[pushing] * answer.normal_force[pushing]
+    return np.asarray(pushing[lengths(answer.friction_force[pushing]) < bound])
 
 
 def _completed(answer: Answer, u: Vector, tie: Vector, missing: tuple[str, ...]) -> Answer:
@@ -395,7 +426,7 @@ def _shift_within_law(
     normal = problem.normal @ basis
     tangent = (problem.tangent @ basis).reshape(*slip.shape, -1)
     bound = problem.friction * answer.normal_force
-    sticking = pushing[lengths(friction)[pushing] < (1 - AT_BOUND) * bound[pushing]]
+    sticking = _inside_the_cone(problem, answer, pushing)
     slipping = pushing[(bound[pushing] > 0) & ~np.isin(pushing, sticking)]
     along = directions(friction)[slipping]
     across = np.column_stack([-along[:, 1], along[:, 0]]) if along.shape[1] == 2 else np.zeros_like(along)
