@@ -361,11 +361,11 @@ class _Comparison:
         apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
         dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
         of_forces = self._bodies.response_norm(push, other)
-        size = of_forces if of_forces > NEXT_TO_NOTHING * strain else strain
-        force = self._bodies.response_norm(normal, dragged), size
-        whole = max(
-            size, force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel())
-        )
+        own_size = max(force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel()))
+        # Forces along a rigid motion have no response: what is left of one is the root of a rounding.
+        felt = of_forces > max(NEXT_TO_NOTHING * strain, np.sqrt(RIGID_ROUNDING) * own_size * self._bodies.floats)
+        force = self._bodies.response_norm(normal, dragged), (size := of_forces if felt else strain)
+        whole = max(size, own_size)
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
             met = in_energy(self._found.lengths, own_normal)

@@ -391,3 +391,21 @@ def test_without_stiffness_the_rounding_of_a_gap_is_none() -> None:
     u = solution.displacement + 1e-6 * np.array([0.0, 1.0, 0.0, 0.0, -1.0])
     given = solution.normal_force, solution.friction_force, solution.tie_force
     assert not cq.certify(problem, u, *given).passed
+
+
+@pytest.mark.parametrize("seed", [3, 12, 19])
+def test_forces_along_a_rigid_motion_have_no_size_but_that_of_the_strain(seed: int) -> None:
+    """A body that floats up to roundings of its stiffness slides on one contact whose force pushes and drags along its
+    motion: the response to that was a root of roundings, and friction off by 1e-7 was called 2.5 times as large.
+    """
+    shape, strains = np.random.default_rng(seed).normal(size=(3, 5)), np.eye(3) - 1 / 3
+    stiffness = strains @ shape @ shape.T @ strains
+    problem = cq.ContactProblem(
+        (stiffness + stiffness.T) / 2, [22.0, 8.0, 0.3], [[0.0, 0.0, 1.0]], [1e-4], tangent=[[0.0, 1.0, 0.0]],
+        friction=1.0,
+    )  # fmt: skip
+    right = cq.solve(problem)
+    forces = right.normal_force, right.friction_force * (1 + 1e-7)
+    judged = cq.certify(problem, right.displacement, *forces, tolerance=1e-5, error_tolerance=1e-4)
+    assert judged.passed
+    assert judged.distance == pytest.approx(0.0, abs=1e-6)

@@ -239,3 +239,42 @@ def test_a_displacement_that_no_row_would_hold_still_gets_forces() -> None:
     problem = cq.ContactProblem(np.eye(2), [1.0, -1.0], [[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
     assert not cq.certify(problem, [0.0, 0.0]).passed
     assert cq.certify(problem, [1.0, -1.0]).passed
+
+
+def printed(values: np.ndarray, digits: int = 7) -> np.ndarray:
+    return np.array([float(f"{value:.{digits - 1}e}") for value in values.ravel()]).reshape(values.shape)
+
+
+@pytest.mark.parametrize(
+    ("friction", "seeds"),
+    [(1e2, range(2)), *(pytest.param(one, range(2, 12), marks=pytest.mark.slow) for one in (0.3, 1e2, 1e4))],
+)
+def test_parts_of_an_answer_with_friction_that_are_printed_with_seven_digits_are_right(
+    friction: float, seeds: range
+) -> None:
+    """Half of them were refused at coefficients of 100: contacts that stick were left to slip by what was cut off, and
+    normal forces were known from the displacement to the coefficient times that.
+    """
+    for seed in seeds:
+        problem = _random_frictional(seed, friction)
+        right = cq.solve(problem)
+        assert right.certificate.passed
+        parts = {name: getattr(right, name) for name in ("displacement", "normal_force", "friction_force")}
+        for names in ([*parts], ["normal_force", "friction_force"], ["displacement"]):
+            given = {name: printed(parts[name]) for name in names}
+            assert cq.certify(problem, **given, tolerance=1e-5, error_tolerance=1e-4).passed, (seed, names)
+            wrong = given | {names[-1]: given[names[-1]] * 1.001}
+            if np.any(wrong[names[-1]] != given[names[-1]]):
+                assert not cq.certify(problem, **wrong, tolerance=1e-5, error_tolerance=1e-4).passed, (seed, names)
+
+
+def _random_frictional(seed: int, friction: float) -> cq.ContactProblem:
+    """Bodies of four to nine unknowns, pressed onto one or two contacts in a plane or in space."""
+    rng = np.random.default_rng([seed, 7])
+    dimension, contacts = int(rng.integers(2, 4)), int(rng.integers(1, 3))
+    n = contacts * dimension + int(rng.integers(2, 4))
+    shape, rows = rng.normal(size=(n, n + 2)), np.linalg.qr(rng.normal(size=(n, n)))[0]
+    normal, gap = rows[:contacts], 0.1 * rng.random(contacts) * (rng.random(contacts) < 0.6)
+    load = 10 * rng.normal(size=n) + 30 * normal.sum(axis=0)
+    tangent = rows[contacts : contacts * dimension]
+    return cq.ContactProblem(shape @ shape.T + 0.1 * np.eye(n), load, normal, gap, tangent=tangent, friction=friction)

@@ -172,7 +172,12 @@ def _tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector
 
 
 def lawful_share(
-    problem: ContactProblem, answer: Answer, residual: Vector, tied: bool, push: Vector | None = None
+    problem: ContactProblem,
+    answer: Answer,
+    residual: Vector,
+    tied: bool,
+    push: Vector | None = None,
+    none: float = NOTHING,
 ) -> Answer | None:
     """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
 
@@ -184,6 +189,8 @@ def lawful_share(
     tied : whether the ties share in the residual
     push : (m,) array [force], optional
         The normal forces where they are known; the residual is then what friction, and ties, have to balance.
+    none : float, optional
+        A gap or a slip of this part of its lengths is none.
     """
     slip = slips(problem, answer.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:
@@ -191,8 +198,8 @@ def lawful_share(
     m, width = slip.shape
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    touching = gap <= NOTHING * length
-    moving = lengths(slip) > NOTHING * _tangential_lengths(problem, answer.displacement)
+    touching = gap <= none * length
+    moving = lengths(slip) > none * _tangential_lengths(problem, answer.displacement)
     contacts, ways = _edges(touching, moving, directions(slip))
     drag = problem.friction[contacts, None] * ways
     columns = (width * contacts[:, None] + np.arange(width)).ravel()
@@ -248,11 +255,13 @@ def pressed(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -
     found, shared = balancing_forces(everything.rows, residual.double(), ~pulls, unknown_scale(problem), ahead)
     how = "by equilibrium" + (", shared without tension among rows that depend on one another" if shared else "")
     yield everything.filled(answer, found), how
-    if shared and problem.frictional and "friction_force" in missing:
+    if problem.frictional and "friction_force" in missing:
         push = None if "normal_force" in missing else answer.normal_force
-        lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing, push)
-        if lawful is not None:
-            yield lawful, "by equilibrium, shared within the law among rows that depend on one another"
+        which = " among rows that depend on one another" if shared else ""
+        for none in (NOTHING, TOUCHING):
+            lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing, push, none)
+            if lawful is not None:
+                yield lawful, f"by equilibrium, shared within the law{which}"
     if iterated(problem):
         return
     gap = problem.gap - problem.normal @ answer.displacement
