@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.balance import rounded_within_parts
 from contactqp.certificate.figures import energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
@@ -146,8 +147,10 @@ def refuse_unbalanced(
     missed = abs((SparseRows(sp.csr_matrix(motions.T)) @ outer).double())
     solution = (extend(answer.displacement) + pair.to_middle).double()
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
-    size = abs(motions).T @ forces_that_meet(problem, forces)
+    meeting = forces_that_meet(problem, forces)
+    size = abs(motions).T @ meeting
     beyond = missed > max(LEFT_BY_ROUNDING, condensation.rigid.uncertainty) * size
+    beyond &= missed > abs(motions).T @ rounded_within_parts(problem, meeting)
     if np.any(beyond):
         worst = int(np.argmax(np.where(beyond, missed / np.where(size > 0, size, 1.0), 0.0)))
         raise Undecided(

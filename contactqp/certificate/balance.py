@@ -25,7 +25,7 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import bodies, outer_forces, untouched
+from contactqp.linalg.measures import bodies, outer_forces, parts, scale_through_rows, untouched
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -53,6 +53,19 @@ DEPENDENT_ROWS = 1e-10
 MOST_SHARING = 1000
 # Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.
 SHARED_ALIKE = 1e-9
+# A force that is this part of others in its part of the problem is zero in extended precision too.
+NO_FORCE = 2.0**-90
+
+
+def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
+    """Return what extended precision rounds the forces to (n,) that come from elsewhere in each part [force].
+
+    A tie may hold a massless unknown to a loaded one without a force.
+    """
+    D, part = scale_through_rows(problem), parts(problem)
+    most = np.zeros(int(part.max(initial=-1)) + 1)
+    np.maximum.at(most, part, D * meeting)
+    return np.divide(NO_FORCE * most[part], D, out=np.zeros_like(D), where=D > 0)
 
 
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:

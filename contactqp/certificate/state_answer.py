@@ -360,11 +360,11 @@ class _Comparison:
         normal = (extend(answer.normal_force) - refined.normal_force).double()
         apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
         dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
-        of_forces = self._bodies.response_norm(push, other)
+        of_forces, change = self._bodies.response_norm(push, other), self._bodies.response_norm(normal, dragged)
         own_size = max(force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel()))
         # Forces along a rigid motion have no response: what is left of one is the root of a rounding.
         felt = of_forces > max(NEXT_TO_NOTHING * strain, np.sqrt(RIGID_ROUNDING) * own_size * self._bodies.floats)
-        force = self._bodies.response_norm(normal, dragged), (size := of_forces if felt else strain)
+        size = of_forces if felt else strain
         whole = max(size, own_size)
         own_normal, own_tangent = self._own
         if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
@@ -379,7 +379,7 @@ class _Comparison:
         worst = int(np.argmax(of_contact))
         return _Distance(
             (apart, strain),
-            max(force, self._with_ties(refined, normal, dragged), key=lambda one: _part(one[0], one[1], 0.0)),
+            max((change, size), self._with_ties(refined, normal, dragged), key=lambda one: _part(one[0], one[1], 0.0)),
             (float(of_contact[worst]), whole),
             worst,
             signs.failing,

@@ -119,7 +119,8 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     `elastic` (n,) is the displacement without its rigid part.
     """
     D, part = scale_through_rows(problem), parts(problem)
-    size = _strain(problem, part, elastic)
+    square = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
+    size = np.sqrt(np.maximum(square, 0.0))
     np.maximum.at(size, part, D * problem.load_size)
     u, stiff = answer.displacement, problem.diagonal > 0
     few_yield = not (stiff.all() or mostly_bare(problem))

@@ -105,3 +105,14 @@ def test_a_load_that_balances_but_for_its_rounding_is_proven() -> None:
         found = cq.solve(chain.replace(load=pulled, gap=[1e9])).certificate
         assert found.passed
         assert found.proven
+
+
+@pytest.mark.parametrize("load", [1.0, 0.3, -1e6])
+def test_a_massless_node_that_a_tie_holds_without_a_force_leaves_the_bounds(load: float) -> None:
+    """What extended precision rounds of the load is all of the forces at the massless node; it drives nothing."""
+    problem = cq.ContactProblem(
+        np.diag([1e3, 0.0]), [load, 0.0], [[0.0, 1.0]], [1e4], tie=[[-1.0, 1.0]], tie_value=[0.0]
+    )
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.certificate.energy_error <= 1e-12
