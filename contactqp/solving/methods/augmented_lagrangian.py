@@ -35,6 +35,9 @@ NAME = "augmented-lagrangian"
 # With beta at this many times the contact stiffness, an Uzawa iteration gains about two decimal digits where contacts
 # do not feel each other; larger values gain more and lose as many digits of the gap to rounding.
 UZAWA_STIFFENING = 100.0
+# Uzawa's iteration that has not come nearer in so many ends, unless `max_iter` asks for more: with friction it may turn
+# in a circle, and where all that is left is rounding it comes no nearer either.
+STALLED = 100
 
 
 def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> Candidate:
@@ -131,13 +134,17 @@ def _uzawa(
     forces_of: Callable[[Candidate], Vector],
     violation: Callable[[Candidate], float],
 ) -> Candidate:
-    """Repeat the penalty method's `answer` with forces kept, from `force` on, until neither forces nor laws are off."""
-    budget, history = Budget(settings, 1000), list[float]()
+    """Repeat the penalty method's `answer` with forces kept, from `force` on, until neither forces nor laws are off.
+
+    It ends, unclaimed, when the iterations or seconds of the settings are spent or nothing has come nearer for long.
+    """
+    budget, history, changes = Budget(settings, 1000), list[float](), list[float]()
     status, inner = "", dataclasses.replace(settings, max_iter=None)
     while not status:
         step = answer(force, inner)
         updated = forces_of(step)
-        history.append(max(_relative_change(force, updated), violation(step)))
+        changes.append(_relative_change(force, updated))
+        history.append(max(changes[-1], violation(step)))
         force, inner = updated, dataclasses.replace(inner, warm_start=step)
         if not step.claimed:
             status = step.status
@@ -145,6 +152,8 @@ def _uzawa(
             status = f"{NAME}: converged to {history[-1]:.1e}"
         elif spent := budget.spent(len(history)):
             status = f"{NAME}: {spent} at {history[-1]:.1e}"
+        elif settings.max_iter is None and len(history) > STALLED + max(map(int, map(np.argmin, (history, changes)))):
+            status = f"{NAME}: no nearer in {STALLED} iterations than {min(history):.1e}"
     claimed = history[-1] <= settings.tolerance and step.claimed
     return dataclasses.replace(
         step,

@@ -185,6 +185,21 @@ def test_uzawa_arrives_or_says_that_it_does_not() -> None:
     np.testing.assert_allclose(rates, 0.5, rtol=0.05)
 
 
+@pytest.mark.slow
+def test_uzawa_that_comes_no_nearer_ends() -> None:
+    """Where nothing is stiff the forces may turn in a circle: a thousand iterations took 9 s."""
+    rows = [[1.0, 0.0, 1.0], [1.0, 2.0, -1.0]], [[1.0, 1.0, 0.0], [-1.0, 1.0, -1.0]]
+    problem = cq.ContactProblem(
+        np.zeros((3, 3)), [0.625, 3.125, -1.875], rows[0], [-0.125, -0.875], tangent=rows[1], friction=0.5,
+        slip_origin=[-0.75, 0.375],
+    )  # fmt: skip
+    with pytest.raises(cq.NotConverged, match="no nearer in 100 iterations") as stopped:
+        cq.solve(problem, "augmented-lagrangian", update="uzawa")
+    assert len(stopped.value.history) < 200
+    with pytest.raises(cq.NotConverged, match="stopped after 120"):
+        cq.solve(problem, "augmented-lagrangian", update="uzawa", max_iter=120)
+
+
 @pytest.mark.sampled(6)
 @pytest.mark.parametrize("pull", list(PULLS)[1:] + list(PULLS)[:1])
 def test_uzawa_where_contacts_rest_at_zero(pull: str) -> None:
