@@ -19,9 +19,9 @@ import scipy.sparse as sp
 
 from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import Bodies, DistributedProblem, floating_bodies
-from contactqp.distributed.ranks import Ranks, petsc
+from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows, chosen_rows
-from contactqp.linalg.contact_iteration import RESTART, ContactIteration
+from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows, IndependentRows, Projections
 from contactqp.linalg.measures import force_measure, reciprocal
@@ -179,6 +179,10 @@ class DistributedIteration(ContactIteration):
         """Return the inner product a'b of all ranks together."""
         return self._ranks.dot(a, b)
 
+    def dots(self, some: Array, b: Vector) -> Vector:
+        """Return the inner products (q,) of vectors (q, n) with another, of all ranks together."""
+        return np.asarray(self._ranks.sum(some @ b))
+
     def any(self, flags: Mask | bool) -> bool:
         """Return whether any flag is set on any rank."""
         return self._ranks.any(flags)
@@ -270,45 +274,6 @@ class DistributedIteration(ContactIteration):
     def smooth(self, force: Vector) -> Vector:
         """Return the displacement M r that the preconditioner makes of a residual."""
         return self._precondition(force)
-
-    def gmres(
-        self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
-    ) -> tuple[Vector, int]:
-        """Solve A x = right by PETSc's GMRES; arguments are as in `ContactIteration.gmres`.
-
-        Parameters
-        ----------
-        operator, right, reduction, most
-            The vectors are this rank's parts.
-        """
-        PETSc, like = petsc(), self._problem.stiffness
-        matrix = PETSc.Mat().createPython(like.getSizes(), _Operator(operator), comm=like.comm)
-        matrix.setUp()
-        solver = PETSc.KSP().create(like.comm)
-        solver.setOperators(matrix)
-        solver.setType("gmres")
-        solver.setGMRESRestart(min(RESTART, most))
-        solver.getPC().setType("none")
-        solver.setTolerances(rtol=reduction, atol=0.0, divtol=np.inf, max_it=most)
-        into, given = like.createVecs()
-        given.array[:] = right
-        solver.solve(given, into)
-        steps, found = int(solver.getIterationNumber()), np.array(into.array)
-        for item in (solver, matrix, into, given):
-            item.destroy()
-        return found, steps
-
-
-class _Operator:
-    """A function as the context of a matrix of PETSc's type "python"."""
-
-    def __init__(self, operator: Callable[[Vector], Vector]) -> None:
-        self._operator = operator
-
-    def mult(self, matrix: Any, x: Any, y: Any) -> None:
-        """Write A x to y."""
-        del matrix
-        y.array[:] = self._operator(np.array(x.array_r))
 
 
 def stacked_rows(parts: list[Rows], like: Any) -> Rows:

@@ -16,10 +16,7 @@ import scipy.sparse as sp
 
 from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
-from contactqp.model.arrays import Indices, Mask, Vector
-
-# Vectors that GMRES keeps until it starts anew.
-RESTART = 60
+from contactqp.model.arrays import Array, Indices, Mask, Vector
 
 
 class Limits(Protocol):
@@ -63,6 +60,10 @@ class ContactIteration(ABC):
     @abstractmethod
     def dot(self, a: Vector, b: Vector) -> float:
         """Return the inner product a'b of two vectors."""
+
+    @abstractmethod
+    def dots(self, some: Array, b: Vector) -> Vector:
+        """Return the inner products (q,) of the rows of some vectors (q, n) with another."""
 
     @abstractmethod
     def any(self, flags: Mask | bool) -> bool:
@@ -177,24 +178,9 @@ class ContactIteration(ABC):
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> ConstrainedRows:
         """Return the projections of other rows (a, t), each a sum of rows of one contact, held at limits (a,)."""
 
-    @abstractmethod
-    def gmres(
-        self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
-    ) -> tuple[Vector, int]:
-        """Solve A x = right by GMRES, until |right - A x| <= reduction |right| or for so many steps.
-
-        Parameters
-        ----------
-        operator : function of an (n,) array, returns A x
-        right : (n,) array
-        reduction : float
-        most : the largest number of steps
-
-        Returns
-        -------
-        x : (n,) array
-        steps : int
-        """
+    def refuse_late(self, what: str) -> None:
+        """Raise NotConverged where the call should have ended before `what`; over ranks, whose clocks differ, never."""
+        del what
 
     def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
         """Return the function M r for bodies that rows hold and springs on `sprung` E join; here for bodies alone."""

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
+from contactqp.linalg.krylov import RESTART, flexible_gmres
 from contactqp.linalg.measures import directions, lengths, ratio, reciprocal
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
@@ -288,9 +289,9 @@ class CombinationSystem:
             residual -= self._iteration.forces_of(self._turning, beyond)
         return np.asarray(residual)
 
-    def error(self, unbalanced: Vector) -> float:
-        """Return |r'P_H M r|, about the square of the error in energy."""
-        return abs(self._iteration.dot(unbalanced, self._along(unbalanced)))
+    def error(self, unbalanced: Vector, along: Vector | None = None) -> float:
+        """Return |r'P_H M r|, about the square of the error in energy; `along` is P_H M r where it is known."""
+        return abs(self._iteration.dot(unbalanced, self._along(unbalanced) if along is None else along))
 
     def solved(self, x: Vector, tolerance: float, energy: float, most: int = ROUNDS * STEPS) -> Vector:
         """Solve from a displacement on the limits until equilibrium and energy are met, or GMRES gets no further.
@@ -309,12 +310,17 @@ class CombinationSystem:
         last = self._iteration.krylov_iterations + most
         for _ in range(ROUNDS):
             unbalanced = self.unbalanced(x)
-            if self._small(x, unbalanced, ROUNDING) or self.enough(x, unbalanced, tolerance, energy):
+            if self._small(x, unbalanced, ROUNDING):
+                break
+            along = self._along(unbalanced)
+            error = self.error(unbalanced, along)
+            if self._balanced(x, unbalanced, tolerance) and error <= energy**2 * self._work(x):
                 break
             left = last - self._iteration.krylov_iterations
             if left <= 0:
                 break
-            x = self.improved(x, self._reduction(x, unbalanced, tolerance, energy), min(left, STEPS))
+            reduction = self._reduction(x, unbalanced, tolerance, energy, error)
+            x = self._improved(x, unbalanced, along, reduction, min(left, STEPS))
         return x
 
     def enough(self, x: Vector, residual: Vector, tolerance: float, energy: float, floor: float = 0.0) -> bool:
@@ -328,9 +334,12 @@ class CombinationSystem:
         energy : the largest error in energy, relative to that of the displacement
         floor : float [energy], the square of an error in energy that is small enough, whatever the displacement
         """
-        if not self._small(x, residual, EQUILIBRIUM * tolerance):
+        if not self._balanced(x, residual, tolerance):
             return False
         return self.error(residual) <= max(energy**2 * self._work(x), floor)
+
+    def _balanced(self, x: Vector, residual: Vector, tolerance: float) -> bool:
+        return self._small(x, residual, EQUILIBRIUM * tolerance)
 
     def _small(self, x: Vector, residual: Vector, part: float) -> bool:
         return not self._iteration.any(~(self._parts(x, residual) <= part))
@@ -342,26 +351,41 @@ class CombinationSystem:
     def _work(self, x: Vector) -> float:
         return self._iteration.dot(x, self._iteration.product(x))
 
-    def _reduction(self, x: Vector, residual: Vector, tolerance: float, energy: float) -> float:
+    def _reduction(self, x: Vector, residual: Vector, tolerance: float, energy: float, error: float) -> float:
         """Return the part to which a residual has to be reduced: less would be reducing rounding."""
         left = float(self._iteration.largest(np.max(self._parts(x, residual), initial=0.0, keepdims=True))[0])
-        error = self.error(residual)
         allowed = energy * float(np.sqrt(self._work(x) / error)) if error > 0 else np.inf
         balanced = EQUILIBRIUM * tolerance / left if left > 0 else np.inf
         return float(np.clip(AIM * min(allowed, balanced), TIGHTEST, LOOSEST))
 
     def improved(self, x: Vector, reduction: float, most: int = STEPS) -> Vector:
         """Return x after GMRES has reduced what is unbalanced at it to this part, or as far as it comes."""
-        scale, unbalanced = self._scale, self.unbalanced(x)
-        if self._small(x, unbalanced, ROUNDING):
-            return x
+        unbalanced = self.unbalanced(x)
+        return x if self._small(x, unbalanced, ROUNDING) else self._improved(x, unbalanced, None, reduction, most)
 
-        def operator(y: Vector) -> Vector:
-            return np.asarray(self._on_g.balanced(self._stiffness(self._along(scale * y))) / scale)
+    def _improved(self, x: Vector, unbalanced: Vector, along: Vector | None, reduction: float, most: int) -> Vector:
+        scale, iteration, steps = self._scale, self._iteration, 0
+        residual = unbalanced / scale
+        aim = reduction * iteration.norm(residual)
 
-        found, steps = self._iteration.gmres(operator, unbalanced / scale, reduction, most)
-        self._iteration.krylov_iterations += steps
-        return np.asarray(x + self._along(scale * found))
+        def preconditioned(y: Vector) -> Vector:
+            iteration.refuse_late("GMRES came to an end")
+            return self._along(scale * y)
+
+        def product(z: Vector) -> Vector:
+            return np.asarray(self._on_g.balanced(self._stiffness(z)) / scale)
+
+        while (size := iteration.norm(residual)) > aim and steps < most:
+            few = min(RESTART, most - steps)
+            found, taken = flexible_gmres(
+                preconditioned, product, iteration.dots, residual, aim / size, few, None if steps else along
+            )
+            iteration.krylov_iterations += taken
+            x, steps = np.asarray(x + found), steps + taken
+            if taken < few or steps >= most:
+                break
+            residual = self.unbalanced(x) / scale
+        return x
 
     def answer(self, x: Vector) -> FrictionalAnswer:
         """Return a displacement with its forces; friction across t is that of Newton's method."""

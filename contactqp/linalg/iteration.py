@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported
 from contactqp.linalg import pardiso, schur
-from contactqp.linalg.contact_iteration import RESTART, ContactIteration
+from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.factorization import stated_motions
@@ -27,7 +27,7 @@ from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.v_cycle import HeldHierarchy
-from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
+from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
@@ -286,7 +286,7 @@ class Iteration(ContactIteration):
         self.rigid = _rigid_motions(problem, hierarchy) if shared is None else shared.rigid
         if problem._computed.of_stiffness.bodies is None:
             problem._computed.of_stiffness.bodies = hierarchy.bodies
-        self.matrix = hierarchy.levels[0].matrix
+        self.matrix, self._product = hierarchy.levels[0].matrix, hierarchy.levels[0].product
         self._diagonal, self._compliance = problem.diagonal, 1 / problem.diagonal
         self._sizes = problem.stiffness_sizes
         afloat = np.any(self.rigid.motions, axis=1) if self.rigid.count else None
@@ -302,6 +302,9 @@ class Iteration(ContactIteration):
 
     def dot(self, a: Vector, b: Vector) -> float:
         return float(a @ b)
+
+    def dots(self, some: Array, b: Vector) -> Vector:
+        return np.asarray(some @ b)
 
     def any(self, flags: Mask | bool) -> bool:
         return bool(np.any(flags))
@@ -339,35 +342,8 @@ class Iteration(ContactIteration):
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> AssembledRows:
         return AssembledRows(entries, self.touched, limit, self._compliance[self.touched])
 
-    def gmres(
-        self, operator: Callable[[Vector], Vector], right: Vector, reduction: float, most: int
-    ) -> tuple[Vector, int]:
-        """Solve A x = right by SciPy's GMRES; arguments are as in `ContactIteration.gmres`.
-
-        Parameters
-        ----------
-        operator, right, reduction, most
-        """
-        from scipy.sparse.linalg import LinearOperator, gmres
-
-        steps, n = [0], len(right)
-
-        def count(_: float) -> None:
-            steps[0] += 1
-            refuse_late("GMRES came to an end")
-
-        restart = min(RESTART, most)
-        found, _ = gmres(
-            LinearOperator((n, n), matvec=operator, dtype=float),
-            right,
-            rtol=reduction,
-            atol=0.0,
-            restart=restart,
-            maxiter=-(-most // restart),
-            callback=count,
-            callback_type="pr_norm",
-        )
-        return np.asarray(found), steps[0]
+    def refuse_late(self, what: str) -> None:
+        refuse_late(what)
 
     def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
         """Return the function M r for bodies that some rows hold and springs on sums of rows, `sprung` E, join."""
@@ -378,7 +354,7 @@ class Iteration(ContactIteration):
         return np.asarray(self.rows.multiply(self.rows) @ self._compliance[self.touched])
 
     def product(self, x: Vector) -> Vector:
-        return np.asarray(self.matrix @ x)
+        return self._product(x)
 
     def product_sizes(self, x: Vector) -> Vector:
         return np.asarray(self._sizes @ abs(x))

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Array, Vector
 
 # The square of a residual that is zero.
 TINY = float(np.finfo(float).tiny)
@@ -236,3 +236,63 @@ class AssembledRows:
         left = r.copy()
         left[self._columns] -= self._spread @ self.forces(r)
         return left
+
+
+# Vectors that GMRES keeps until it starts anew.
+RESTART = 60
+# What is left of a new direction beside those before it when rounding is all that is left.
+EXHAUSTED = 1e-14
+
+
+def flexible_gmres(
+    along: Callable[[Vector], Vector],
+    product: Callable[[Vector], Vector],
+    dots: Callable[[Array, Vector], Vector],
+    residual: Vector,
+    reduction: float,
+    most: int,
+    first: Vector | None = None,
+) -> tuple[Vector, int]:
+    """Reduce |r - A z| by GMRES that keeps the preconditioned directions z_k = M v_k (Saad 1993, algorithm 2.2).
+
+    The answer is a sum of these: no product and no application of M is needed to form or to check it.
+
+    Parameters
+    ----------
+    along, product : functions of an (n,) array, M v and A z
+    dots : function of vectors (q, n) and one (n,), returns their inner products (q,)
+    residual : (n,) array, r
+    reduction : the part of |r| at which it ends
+    most : the largest number of steps, RESTART at most
+    first : (n,) array, optional
+        M r, where it is known.
+
+    Returns
+    -------
+    z : (n,) array
+    steps : int, applications of A
+    """
+    size = float(np.sqrt(dots(residual[None], residual)[0]))
+    if not (size > 0 and most > 0):
+        return np.zeros_like(residual), 0
+    most = min(most, RESTART)
+    v, z = np.empty((most + 1, len(residual))), np.empty((most, len(residual)))
+    v[0], hessenberg = residual / size, np.zeros((most + 1, most))
+    start = np.zeros(most + 1)
+    start[0] = size
+    for k in range(most):
+        z[k] = along(v[k]) if k or first is None else first / size
+        w = product(z[k])
+        before = float(np.sqrt(dots(w[None], w)[0]))
+        for _ in range(2):  # the second time takes out the rounding of the first
+            share = dots(v[: k + 1], w)
+            hessenberg[: k + 1, k] += share
+            w -= v[: k + 1].T @ share
+        hessenberg[k + 1, k] = float(np.sqrt(dots(w[None], w)[0]))
+        system = hessenberg[: k + 2, : k + 1]
+        y = np.linalg.lstsq(system, start[: k + 2], rcond=None)[0] if np.all(np.isfinite(system)) else np.zeros(k + 1)
+        left = float(np.linalg.norm(start[: k + 2] - system @ y))
+        if not left > reduction * size or not hessenberg[k + 1, k] > EXHAUSTED * before:
+            break
+        v[k + 1] = w / hessenberg[k + 1, k]
+    return np.asarray(z[: k + 1].T @ y), k + 1

@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing, Unsupported
+from contactqp.linalg.pardiso import products
 from contactqp.model.arrays import Array, Indices, Mask
 
 # Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
@@ -53,9 +54,10 @@ def available() -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One level: its matrix, D, the largest eigenvalue of D^-1 K, and the prolongation from the next coarser level."""
+    """One level: its matrix K, products K x, D, the largest eigenvalue of D^-1 K, and what is prolonged from below."""
 
     matrix: Any
+    product: Callable[[Array], Array]
     diagonal: Array
     largest: float
     prolong: Any = None  # None on the coarsest level
@@ -97,19 +99,19 @@ class Hierarchy:
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
         while True:
-            diagonal = _positive(matrix.diagonal())
-            largest = largest_eigenvalue(matrix.__matmul__, diagonal)
+            diagonal, product = _positive(matrix.diagonal()), products(matrix)
+            largest = largest_eigenvalue(product, diagonal)
             aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None
             if not self.levels:  # K B is not K T B_coarse of unknowns that nothing couples, which no aggregate has
                 self.held, self.soft = self._least_energies(B, matrix @ B, diagonal)
             if aggregates is None or len(self.levels) == MOST_LEVELS:
-                self.levels.append(Level(matrix, diagonal, largest))
+                self.levels.append(Level(matrix, product, diagonal, largest))
                 return
             tentative, coarse_B = _tentative(aggregates, B)
             blocks = _as_blocks(matrix)
-            product = blocks @ tentative
-            prolong = tentative - _scaled_rows(product, JACOBI / largest / diagonal, tentative)
-            self.levels.append(Level(matrix, diagonal, largest, prolong, prolong.T))
+            smoothing = _scaled_rows(blocks @ tentative, JACOBI / largest / diagonal, tentative)
+            prolong = tentative - smoothing
+            self.levels.append(Level(matrix, product, diagonal, largest, prolong, prolong.T))
             size = B.shape[1]
             matrix, B = (prolong.T @ (blocks @ prolong)).tobsr((size, size)), coarse_B
 

@@ -1,8 +1,9 @@
-"""MKL PARDISO through the library that pypardiso brings: Cholesky factors that leave the Schur complement behind.
+"""MKL through the library that pypardiso brings: PARDISO's Cholesky factors that leave the Schur complement behind.
 
 With `perm` = 1 at the retained unknowns and iparm(36) = 1 the factorisation stops before them and returns the dense S;
 phase 331 is then the forward elimination of a load, whose retained entries are f_S, and phase 333 the backward
 substitution that starts from given retained entries (Intel oneMKL Developer Reference, PARDISO iparm parameters).
+Products of large sparse matrices run on MKL's threads too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import ctypes
 import importlib.util
 import os
 import weakref
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -48,6 +50,10 @@ LEAST_PIVOT = 13
 OF_PLANES, LONGEST_ROW, OF_FEW_UNKNOWNS = 25, 50, 100_000
 # Factors in a stated order that have so many times the entries of those that it was found for, row by row, fill in.
 FILLS_IN = 1.5
+# Products of matrices with fewer entries end before other threads have begun.
+MANY_ENTRIES = 500_000
+# In MKL's sparse products: the matrix itself and not its transpose, of no special kind, its blocks by rows.
+NOT_TRANSPOSED, GENERAL, BLOCKS_BY_ROWS = 10, 20, 101
 # Matrices with the same entries whose factors one analysis serves, and the phase that gives back those of one of them.
 OF_ONE_ANALYSIS, RELEASE_ONE = 2, 0
 
@@ -396,3 +402,65 @@ def _release(handle: Any, settings: Any, matrix_kind: int) -> None:
         *(ctypes.byref(one), _pointer(settings), ctypes.byref(ctypes.c_int32(0))),
         *(_pointer(nothing), _pointer(nothing), ctypes.byref(ctypes.c_int32(0))),
     )
+
+
+class _Description(ctypes.Structure):
+    """MKL's matrix_descr: kind, and triangle and diagonal where the matrix has one of its own."""
+
+    _fields_ = (("kind", ctypes.c_int), ("triangle", ctypes.c_int), ("diagonal", ctypes.c_int))
+
+
+class _Products:
+    """y = A x by MKL's threads, from the arrays of a square matrix itself, which must not change meanwhile.
+
+    A row is summed by one thread, in the order of its entries: the result does not depend on the number of threads.
+
+    Raises BackendFailed: MKL does not take the matrix.
+    """
+
+    def __init__(self, matrix: Any) -> None:
+        self._matrix, self._starts = matrix, np.ascontiguousarray(matrix.indptr, dtype=np.int32)
+        self._columns = np.ascontiguousarray(matrix.indices, dtype=np.int32)
+        self._values = np.ascontiguousarray(matrix.data, dtype=np.float64)
+        self._handle, size = np.zeros(1, dtype=np.int64), len(self._starts) - 1
+        shape: tuple[Any, ...] = (size, size)
+        create = _library().mkl_sparse_d_create_csr
+        if matrix.format == "bsr":
+            create, shape = _library().mkl_sparse_d_create_bsr, (BLOCKS_BY_ROWS, size, size, matrix.blocksize[0])
+        starts = self._starts.ctypes.data
+        _refuse_status(
+            create(
+                *(_pointer(self._handle), 0, *shape),
+                *(ctypes.c_void_p(starts), ctypes.c_void_p(starts + self._starts.itemsize)),
+                *(_pointer(self._columns), _pointer(self._values)),
+            )
+        )
+        handle = ctypes.c_void_p(int(self._handle[0]))
+        self._made, self._release = handle, weakref.finalize(self, _library().mkl_sparse_destroy, handle)
+
+    def __call__(self, x: Array) -> Array:
+        right = np.ascontiguousarray(x, dtype=np.float64)
+        product, one, zero = np.empty_like(right), ctypes.c_double(1.0), ctypes.c_double(0.0)
+        described = _Description(GENERAL, 0, 0)
+        _refuse_status(
+            _library().mkl_sparse_d_mv(
+                *(NOT_TRANSPOSED, one, self._made, described, _pointer(right), zero, _pointer(product)),
+            )
+        )
+        return product
+
+
+def _refuse_status(status: int) -> None:
+    if status:
+        raise BackendFailed(f"MKL: status {status} of a sparse product")
+
+
+def products(matrix: Any) -> Callable[[Array], Array]:
+    """Return the product A x of a square matrix (n, n), by rows or in blocks, with vectors (n,).
+
+    A large matrix is multiplied on the threads of MKL where pypardiso is installed and not switched off by `CHOICE`,
+    the others by SciPy. The matrix must not change afterwards.
+    """
+    if matrix.format not in ("csr", "bsr") or not MANY_ENTRIES <= matrix.data.size <= np.iinfo(np.int32).max:
+        return matrix.__matmul__  # type: ignore[no-any-return]
+    return _Products(matrix) if available() else matrix.__matmul__

@@ -174,7 +174,7 @@ class _HeldLevel(HeldLevel):
         self.largest = max(self.largest, of_rows)
 
     def product(self, x: Array) -> Array:
-        y: Array = self._level.matrix @ x
+        y = self._level.product(x)
         entries, columns = self._added
         if entries.shape[0]:
             y[columns] += self._spread @ (entries @ x[columns])

@@ -1,15 +1,21 @@
-"""Residuals by slices have digits beyond double precision."""
+"""Residuals by slices have digits beyond double precision; products by threads and steps of GMRES are what they say."""
 
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from contactqp.errors import Unsupported
+from contactqp.errors import BackendFailed, Unsupported
+from contactqp.linalg import pardiso
 from contactqp.linalg.influence import SlicedStiffness
+from contactqp.linalg.krylov import flexible_gmres
+from contactqp.linalg.pardiso import products
+
+needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-20, 3e15])
@@ -36,3 +42,77 @@ def test_residuals_are_those_of_rationals(unit: float) -> None:
 def test_rows_that_are_too_long_are_refused() -> None:
     with pytest.raises(Unsupported, match="600 entries"):
         SlicedStiffness(sp.csr_array(np.ones((600, 600))), np.ones(600))
+
+
+def a_matrix(block: int | None) -> Any:
+    rng = np.random.default_rng(5)
+    K = sp.random_array((1800, 1800), density=0.001, rng=rng, format="csr") + sp.eye_array(1800)
+    K = sp.csr_matrix(K)
+    return K if block is None else K.tobsr((block, block))
+
+
+@needs_pardiso
+@pytest.mark.parametrize("block", [None, 2, 3, 6])
+def test_products_by_threads_are_those_of_one(block: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By rows and in blocks, and of vectors that are no rows of memory; not of a few entries, nor if switched off."""
+    matrix, x = a_matrix(block), np.random.default_rng(6).standard_normal((1800, 2))
+    assert products(matrix) == matrix.__matmul__
+    monkeypatch.setattr(pardiso, "MANY_ENTRIES", 1000)
+    threaded = products(matrix)
+    assert isinstance(threaded, pardiso._Products)
+    for column in x.T:
+        sizes = abs(matrix) @ abs(column)
+        assert np.max(abs(threaded(column) - matrix @ column) / sizes) <= 8 * np.finfo(float).eps
+    assert np.array_equal(threaded(x[:, 0]), threaded(x[:, 0]))
+    assert products(matrix.tocsc()) != threaded
+    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    assert products(matrix) == matrix.__matmul__
+
+
+@needs_pardiso
+def test_a_matrix_that_the_library_does_not_take_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pardiso, "MANY_ENTRIES", 1)
+    monkeypatch.setattr(pardiso, "BLOCKS_BY_ROWS", 7)
+    with pytest.raises(BackendFailed, match="status"):
+        products(a_matrix(3))
+
+
+def dots(some: Any, b: Any) -> Any:
+    return some @ b
+
+
+def test_flexible_gmres_reduces_what_it_is_asked_to() -> None:
+    """Along directions of a preconditioner that changes from step to step, and from a first one that is known."""
+    rng = np.random.default_rng(7)
+    A = np.eye(60) + 0.3 * rng.standard_normal((60, 60)) / np.sqrt(60)
+    r, taken = rng.standard_normal(60), []
+
+    def along(v: Any) -> Any:
+        taken.append(1.0 + 0.5 * len(taken) * abs(np.sin(np.arange(60))))
+        return v * taken[-1]
+
+    for reduction in (1e-2, 1e-10):
+        taken.clear()
+        z, steps = flexible_gmres(along, A.__matmul__, dots, r, reduction, 60)
+        left = np.linalg.norm(r - A @ z) / np.linalg.norm(r)
+        assert left <= reduction * (1 + 1e-3)
+        assert steps == len(taken) < 60
+    known, same = flexible_gmres(lambda v: v, A.__matmul__, dots, r, 1e-6, 60, first=r.copy())
+    again, other = flexible_gmres(lambda v: v, A.__matmul__, dots, r, 1e-6, 60)
+    assert same == other
+    assert known == pytest.approx(again, rel=1e-12, abs=1e-14)
+
+
+def test_flexible_gmres_ends_where_nothing_is_left() -> None:
+    """At a residual of zero, where the space is exhausted, at its last step, and where numbers are none."""
+    eye, r = np.eye(4), np.array([1.0, -2.0, 0.0, 3.0])
+    assert np.array_equal(flexible_gmres(lambda v: v, eye.__matmul__, dots, 0 * r, 1e-3, 4)[0], 0 * r)
+    z, steps = flexible_gmres(lambda v: v, eye.__matmul__, dots, r, 0.0, 4)
+    assert steps == 1
+    assert z == pytest.approx(r, rel=1e-15)
+    A = np.diag([1.0, 2.0, 3.0, 4.0])
+    assert flexible_gmres(lambda v: v, A.__matmul__, dots, r, 0.0, 2)[1] == 2
+    assert flexible_gmres(lambda v: v, A.__matmul__, dots, r, 0.0, 0)[1] == 0
+    with np.errstate(invalid="ignore"):
+        _, steps = flexible_gmres(lambda v: v * np.nan, A.__matmul__, dots, r, 1e-3, 4)
+    assert steps == 1

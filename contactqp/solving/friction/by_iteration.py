@@ -36,8 +36,12 @@ from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 Certifiable = Callable[[Answer, float], bool]
 # Combinations tried from one start.
 MOST = 25
-# The part to which GMRES reduces what is unbalanced of a combination that may not be the last.
-LOOSE = 1e-2
+# The part to which GMRES reduces what is unbalanced of a combination that may not be the last, and of the first that
+# comes again, along whose slips directions still turn in space.
+LOOSE, SLIDING = 1e-2, 1e-3
+# Where an answer is solved to the end and its figures are not small, the next leaves this part of what it left: slips
+# that are small beside the displacements have a direction later than these have their digits.
+TIGHTER = 0.1
 # The part of the tolerance that figures of an answer may reach.
 FIGURE = 0.7
 # An error in energy, squared, of so many times what GMRES could not reduce is rounding too.
@@ -47,9 +51,9 @@ STUCK = 4.0
 class FrictionNewton:
     """Newton's method on Coulomb's law, from one combination of open, stick and slip to the next.
 
-    Early combinations are solved loosely. One that comes again is solved until the answer, its friction put onto
-    Coulomb's law, is in equilibrium; it is the answer if every figure of the certificate is small then. Everything is
-    collective over ranks.
+    Early combinations are solved loosely. One that comes again, in space after the directions of its slips have turned
+    once more, is solved until the answer, its friction put onto Coulomb's law, is in equilibrium; it is the answer if
+    every figure of the certificate is small then. Everything is collective over ranks.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ class FrictionNewton:
 
     def run(self, start: FrictionalAnswer) -> FrictionalAnswer | None:
         """Return the answer from a start, or None where the combinations lead nowhere."""
-        here, before = start, None
+        here, before, part = start, None, 1.0
         states: Combination | None = None
         seen: dict[object, int] = {}
         for number in range(1, MOST + 1):
@@ -86,16 +90,21 @@ class FrictionNewton:
                 return None  # the combinations form a cycle
             system = CombinationSystem(self._rows, states)
             x = system.closed(here.displacement)
-            x = system.solved(x, self._tolerance, self._energy) if again else system.improved(x, LOOSE)
+            last = again and not (seen[mark] == 2 and self._iteration.any(states.turning > 0))
+            if last:
+                x = system.solved(x, part * self._tolerance, part * self._energy)
+            else:
+                x = system.improved(x, SLIDING if again else LOOSE)
             if self._iteration.any(~np.isfinite(x)):
                 return None
             here, before = system.answer(x), mark
-            if again:
+            if last:
                 answer = self._rows.within_law(here, states)
                 floor = STUCK * system.error(system.unbalanced(x))
                 enough = system.enough(x, self._rows.residual(answer), self._tolerance, self._energy, floor)
                 if enough and self.certifiable(answer):
                     return answer
+                part *= TIGHTER if enough else 1.0
         return None
 
     def certifiable(self, answer: Answer) -> bool:

@@ -152,6 +152,26 @@ def forged(problem: cq.ContactProblem, way: str) -> tuple[Any, ...]:
     return u, normal, friction, right.tie_force
 
 
+def test_an_answer_that_is_not_certifiable_is_solved_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solved to the same part it would stay as it is, and be refused until all combinations are used up."""
+    asked: list[float] = []
+    plain = by_iteration.CombinationSystem.solved
+
+    def solved(self: Any, x: Any, tolerance: float, energy: float, most: int = 10_000) -> Any:
+        asked.append(energy)
+        return plain(self, x, tolerance, energy, most)
+
+    refusals = count()
+    good = by_iteration.FrictionNewton.certifiable
+    monkeypatch.setattr(by_iteration.CombinationSystem, "solved", solved)
+    monkeypatch.setattr(
+        by_iteration.FrictionNewton, "certifiable", lambda self, answer: next(refusals) > 1 and good(self, answer)
+    )
+    solution = cq.solve(fresh(BLOCK))
+    assert solution.certificate.passed
+    assert min(asked) == pytest.approx(1e-2 * asked[0])
+
+
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("way", ["friction", "one force", "all forces", "direction"])
 @pytest.mark.parametrize("name", ["a row an unknown", "mortar"])
