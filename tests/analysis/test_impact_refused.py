@@ -10,8 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.analysis.motion.mass_matrix import critical_step
-from contactqp.analysis.motion.time_stepping import slowest_frequency
+from contactqp.analysis.motion.mass_matrix import critical_step, slowest_frequency
 from tests.analysis.motions import LENGTH, WAVE, rod_at_wall, rod_matrices, thrown_rod
 
 BALL: dict[str, Any] = dict(
@@ -149,10 +148,33 @@ def test_the_slowest_vibration_of_a_held_rod_is_found() -> None:
         held[1:] = sp.linalg.spsolve(sp.csc_matrix(inertia * M + K)[1:, 1:], y[1:])
         return held
 
-    omega = slowest_frequency(respond, M, inertia, np.ones(101))
+    omega, shape = slowest_frequency(respond, M, inertia, np.ones(101))
     assert omega is not None
+    assert shape is not None
     assert np.pi / omega == pytest.approx(2 * LENGTH / WAVE, rel=1e-3)
-    assert slowest_frequency(lambda y: y / inertia / M.diagonal(), M, inertia, np.ones(101)) is None  # rigid
+    quarter = np.sin(np.linspace(0, np.pi / 2, 101))
+    assert shape / shape[-1] == pytest.approx(quarter, abs=1e-3)
+    # One that is slow enough is found in fewer steps, in one from its shape.
+    asked = 0
+
+    def counted(y: np.ndarray) -> np.ndarray:
+        nonlocal asked
+        asked += 1
+        return respond(y)
+
+    fast, _ = slowest_frequency(counted, M, inertia, np.ones(101), 2 * omega)
+    assert fast is not None
+    assert omega * (1 - 1e-9) <= fast <= 2 * omega
+    assert asked <= 4
+    asked = 0
+    again, _ = slowest_frequency(counted, M, inertia, np.zeros(101), 2 * omega, known=shape)
+    assert again == pytest.approx(omega, rel=1e-3)
+    assert asked == 1
+    # None is as slow as that: the whole search.
+    least, _ = slowest_frequency(counted, M, inertia, np.ones(101), 0.5 * omega, known=shape)
+    assert least == pytest.approx(omega, rel=1e-9)
+    rigid = slowest_frequency(lambda y: y / inertia / M.diagonal(), M, inertia, np.ones(101), omega)
+    assert rigid == (None, None)
 
 
 def test_a_motion_that_leaves_all_numbers_fails_with_its_history() -> None:

@@ -1,10 +1,12 @@
-"""The mass matrix of a motion: what is accepted as one, mass taken from the nodes that touch, and the critical step.
+"""The mass matrix of a motion: what is accepted as one, mass taken from the nodes that touch, and frequencies.
 
-The critical step is the longest time step of central differences, 2 over the highest frequency.
+The critical step is the longest time step of central differences, 2 over the highest frequency. The slowest vibration
+that an impact starts tells how long it lasts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,14 @@ INDEFINITE = 1e-6
 KEPT = 1e-9
 # Up to here all frequencies are found at once.
 DENSE_SIZE = 200
+# Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
+RESOLVED_SHARE = 1e-9
+# Enough to part the slowest vibration from others where the step is long; and where a known shape should do.
+LANCZOS_STEPS, STEPS_FROM_KNOWN = 24, 2
+# Shares below this are the rounding of motions that contacts hold: a step would last for a million contacts.
+HELD = 1e-13
+# A vector that this part is left of lies in the space that was spanned before.
+SPANNED = 1e-12
 
 
 def read_mass(mass: Any, n: int) -> Any:
@@ -180,3 +190,91 @@ def critical_step(mass: Any, stiffness: Any) -> float:
         start = np.random.default_rng(0).standard_normal(len(moving))
         highest = float(eigsh(K, 1, M=M, Minv=inverse, which="LA", v0=start, tol=1e-8, return_eigenvectors=False)[0])
     return 2 / np.sqrt(highest) if highest > 0 else np.inf
+
+
+def slowest_frequency(
+    respond: Callable[[Vector], Vector],
+    mass: Any,
+    inertia: float,
+    velocity: Vector,
+    enough: float = 0.0,
+    known: Vector | None = None,
+) -> tuple[float | None, Vector | None]:
+    """Return the slowest frequency that an impact excites, omega [1 / time], and the shape of that vibration.
+
+    Both are None where all motions are rigid. The search ends at a frequency that is `enough`: Lanczos' method has one
+    within the size of the residual of its approximation (Parlett 1998, section 4.5), and slower ones would not matter.
+
+    Parameters
+    ----------
+    respond : function
+        x = (M s + K)^-1 y with the closed contacts held, s = `inertia`: its frequencies are those of s / (s + omega^2)
+        as the eigenvalues of x = respond(s M x).
+    mass : (n, n) matrix
+    inertia : s [1 / time^2]
+    velocity : (n,) array, what the impact excites: vibrations that have no part in it are not found
+    enough : a frequency that need not be known better, nor a slower one [1 / time]
+    known : (n,) array, optional
+        The shape of a vibration with other contacts closed, which is tried first.
+    """
+    share = inertia / (inertia + enough**2) if enough else np.inf
+
+    def answer(vector: Vector) -> Vector:
+        return respond(inertia * (mass @ vector))
+
+    if known is not None:
+        found = _slowest(answer, mass, known, share, STEPS_FROM_KNOWN)
+        if found[0] >= share:
+            return _frequency(inertia, found[0]), found[1]
+    largest, shape = _slowest(answer, mass, answer(velocity), share, LANCZOS_STEPS)
+    return (None, None) if shape is None else (_frequency(inertia, largest), shape)
+
+
+def _frequency(inertia: float, share: float) -> float:
+    return float(np.sqrt(inertia * (1 / share - 1)))
+
+
+def _slowest(
+    answer: Callable[[Vector], Vector], mass: Any, vector: Vector, enough: float, most: int
+) -> tuple[float, Vector | None]:
+    """Return the largest share of a vibration and its shape by Lanczos' method; 0 and None where there is none.
+
+    Parameters
+    ----------
+    answer : the operator, symmetric in the metric of M
+    mass : (n, n) matrix, M
+    vector : (n,) array, the start
+    enough : a share beyond which it is not looked for a larger one
+    most : the largest number of steps
+    """
+    basis: list[Vector] = []
+    weighed: list[Vector] = []  # M times these
+    operator, reference = np.zeros((most, most)), 0.0
+    largest, shape = 0.0, None
+    size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
+    for k in range(most):
+        if not np.isfinite(size) or size <= SPANNED * reference or size == 0:
+            break
+        basis.append(vector / size)
+        weighed.append(mass @ basis[-1])
+        vector = answer(basis[-1])
+        operator[: k + 1, k] = operator[k, : k + 1] = [row @ vector for row in weighed]
+        reference = float(np.sqrt(max(float(vector @ (mass @ vector)), 0.0)))
+        if not np.isfinite(reference):
+            break
+        for _ in range(2):  # the second time takes out the rounding of the first
+            for other, weight in zip(basis, weighed, strict=True):
+                vector = vector - (weight @ vector) * other
+        size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
+        shares, turns = np.linalg.eigh(operator[: k + 1, : k + 1])
+        slow = np.flatnonzero((shares > HELD) & (shares < 1 - RESOLVED_SHARE))
+        left = size * abs(turns[-1])
+        near = slow[(shares[slow] - left[slow] >= enough) & (shares[slow] + left[slow] < 1 - RESOLVED_SHARE)]
+        chosen = near[-1] if near.size else slow[-1] if slow.size else None
+        largest, shape = 0.0, None
+        if chosen is not None:
+            shape = np.column_stack(basis) @ turns[:, chosen]
+            largest = float(shares[chosen] - left[chosen] if near.size else shares[chosen])
+        if near.size:
+            break
+    return largest, shape

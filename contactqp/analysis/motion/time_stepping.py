@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.mass_matrix import critical_step, touched
+from contactqp.analysis.motion.mass_matrix import critical_step, slowest_frequency, touched
 from contactqp.analysis.motion.motion_history import Motion, MotionHistory, notes_on_motion
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepContact, StepProblem, StepResult
@@ -238,8 +238,6 @@ def _worst(values: Block) -> Block:
     return np.asarray(np.max(values, axis=0, initial=0.0))
 
 
-# Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
-RESOLVED_SHARE = 1e-9
 # Steps certified at once.
 BLOCK = 64
 TOLERANCE = 1e-9
@@ -251,12 +249,6 @@ MOST_STEPS = 2.0**53
 RESOLVED = 10
 # Central differences may step at their critical step, known to this part.
 CRITICAL = 1e-6
-# Enough to part the slowest vibration from others where the step is long.
-LANCZOS_STEPS = 24
-# Shares below this are the rounding of motions that contacts hold: a step would last for a million contacts.
-HELD = 1e-13
-# A vector that this part is left of lies in the space that was spanned before.
-SPANNED = 1e-12
 
 
 class MotionRun:
@@ -281,6 +273,7 @@ class MotionRun:
         self._certified, self._alone = 0, False  # steps; whether each is solved as a problem of its own, which raw
         self._raw = options.get("polish") is False  # answers are not
         self._impacts = FirstImpacts(scheme.body.problem)
+        self._vibrates: tuple[Mask, Vector] | None = None  # the bodies of the last impact, and a vibration it started
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
     def start(self, u: Vector, v: Vector) -> None:
@@ -302,7 +295,7 @@ class MotionRun:
         """Continue from these states for `MotionHistory.resume`, and leave the first history untouched."""
         twin = copy.copy(self)
         twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds), work=twin._work)
-        twin._impacts = copy.deepcopy(self._impacts)
+        twin._impacts = self._impacts.copy()
         twin._notes, twin._pending = list(self._notes), [[] for _ in self._pending]
         twin._certified = len(states) - 1
         return twin.lasting(duration)
@@ -398,12 +391,17 @@ class MotionRun:
         share = scheme.inertia * scheme.body.mass + scheme.body.stiffness
         contact, template = self._contacts[-1], scheme.templates[-1]
         factor = float(template.stiffness.diagonal().max() / share.diagonal().max())
-        omega = slowest_frequency(
+        bodies = self._impacts.bodies(scheme.body.mass, closing)
+        known = None if self._vibrates is None or not np.array_equal(self._vibrates[0], bodies) else self._vibrates[1]
+        omega, shape = slowest_frequency(
             lambda y: factor * contact.respond_closed(y, closed),
             scheme.body.mass,
             scheme.inertia,
-            np.where(meeting(scheme.body.problem, scheme.body.mass, closing), before.velocity, 0.0),
+            np.where(bodies, before.velocity, 0.0),
+            np.pi / (RESOLVED * h),
+            known,
         )
+        self._vibrates = None if shape is None else (bodies, shape)
         if omega is None or np.pi / omega >= RESOLVED * h:
             return
         self._impacts.awaited = False
@@ -438,45 +436,20 @@ class MotionRun:
         warn(message, TimeStepWarning)
 
 
-def slowest_frequency(respond: Callable[[Vector], Vector], mass: Any, inertia: float, velocity: Vector) -> float | None:
-    """Return omega [1 / time], or None where all motions are rigid.
-
-    Parameters
-    ----------
-    respond : function
-        x = (M s + K)^-1 y with the closed contacts held, s = `inertia`: its frequencies are those of s / (s + omega^2)
-        as the eigenvalues of x = respond(s M x).
-    mass : (n, n) matrix
-    inertia : s [1 / time^2]
-    velocity : (n,) array, what the impact excites: vibrations that have no part in it are not found
-    """
-    basis: list[Vector] = []
-    images: list[Vector] = []
-    vector = respond(inertia * (mass @ velocity))
-    for _ in range(LANCZOS_STEPS):
-        for other in 2 * basis:
-            vector = vector - (other @ (mass @ vector)) * other
-        size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
-        reference = np.sqrt(float(images[-1] @ (mass @ images[-1]))) if images else size
-        if not np.isfinite(size) or size <= SPANNED * reference or size == 0:
-            break
-        basis.append(vector / size)
-        images.append(respond(inertia * (mass @ basis[-1])))
-        vector = images[-1]
-    if not basis:
-        return None
-    operator = np.array([[a @ (mass @ b) for b in images] for a in basis])
-    shares = np.linalg.eigvalsh((operator + operator.T) / 2)
-    slow = shares[(shares > HELD) & (shares < 1 - RESOLVED_SHARE)]
-    return float(np.sqrt(inertia * (1 / slow[-1] - 1))) if len(slow) else None
-
-
 class FirstImpacts:
     """The contacts that have closed by an impact so far; each is reported at its first impact."""
 
     def __init__(self, problem: ContactProblem) -> None:
-        self._normal, self._met = problem.normal, np.zeros(problem.contacts, dtype=bool)
+        self._normal, self._tie, self._stiffness = problem.normal, problem.tie, problem.stiffness_rows
+        self._met = np.zeros(problem.contacts, dtype=bool)
+        self._body: Indices | None = None  # of each unknown, found at the first impact
         self.awaited = problem.contacts > 0
+
+    def copy(self) -> FirstImpacts:
+        """Return the same contacts, to which others are added apart."""
+        twin = copy.copy(self)
+        twin._met = self._met.copy()
+        return twin
 
     def new(self, before: State, now: State) -> Indices:
         """Return the contacts that begin to push in a step, approaching, for the first time."""
@@ -487,12 +460,11 @@ class FirstImpacts:
             self.awaited = not bool(np.all(self._met))
         return closing
 
+    def bodies(self, mass: Any, contacts: Indices) -> Mask:
+        """Return which unknowns belong to the bodies that contacts act on, (n,); ties make one body of two."""
+        if self._body is None:
+            from scipy.sparse.csgraph import connected_components
 
-def meeting(problem: ContactProblem, mass: Any, contacts: Indices) -> Mask:
-    """Return which unknowns belong to the bodies that contacts act on, (n,); ties make one body of two."""
-    from scipy.sparse.csgraph import connected_components
-
-    tied = abs(problem.tie).T @ abs(problem.tie)
-    rows = abs(problem.normal[contacts])
-    label = connected_components(abs(problem.stiffness_rows) + abs(mass) + tied, directed=False)[1]
-    return np.isin(label, label[sp.csr_matrix(rows).indices])
+            tied = abs(self._tie).T @ abs(self._tie)
+            self._body = connected_components(abs(self._stiffness) + abs(mass) + tied, directed=False)[1]
+        return np.isin(self._body, self._body[sp.csr_matrix(abs(self._normal[contacts])).indices])
