@@ -260,7 +260,7 @@ class CombinationSystem:
         H, limit = iteration.entries[self._active], rows.limit[self._active]
         sliding = rows.sliding(states)[states.closed]
         G = H + sp.vstack([sliding, sp.csr_matrix((H.shape[0] - sliding.shape[0], H.shape[1]))])
-        holding = rows.sticking(states.stick)[0]
+        holding = rows.sticking(states.stick | (states.turning > 0))[0]
         self._on_h, self._on_g = (
             holding.at_rest(iteration.constrained(sp.csr_matrix(entries), limit), states.closed) for entries in (H, G)
         )
