@@ -220,17 +220,21 @@ def survey(problems: int) -> int:
     return wrong
 
 
-def _cost_with_friction(unknowns: int, cases: int) -> None:
-    """Print what load cases of a block on a rough floor cost, pressed and dragged along by forces at its contacts."""
+def _cost_with_friction(unknowns: int, cases: int, floats: bool) -> None:
+    """Print what load cases of a block on a rough floor cost, pressed and dragged along by forces at its contacts.
+
+    Its top is held, or the floor alone holds it.
+    """
     cells = round(np.sqrt(unknowns / 4))
     block = cq.Body(cq.rectangle(2.0, 1.0, (2 * cells, cells)), cq.Material(1.0, 0.3), "plane-strain", name="block")
     structure = cq.Structure([block])
     floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, -1e-3], [0.0, 1.0]))
-    held = structure.assemble([cq.Support("block", "top", axis) for axis in range(2)])
+    held = structure.assemble([] if floats else [cq.Support("block", "top", axis) for axis in range(2)])
     problem, rng = held.problem([floor], friction=0.3), np.random.default_rng(0)
     press, drag = (np.asarray(rows.sum(axis=0)).ravel() for rows in (problem.normal, problem.tangent))
     turn, m = np.linspace(0.0, 3.0, cases), problem.contacts
-    loads = np.outer(4e-3 * (0.8 + 0.5 * np.sin(2 * turn)), press) + np.outer(2e-3 * np.cos(turn), drag)
+    dragged = 5e-4 if floats else 2e-3  # friction of 0.3 of what presses least holds it
+    loads = np.outer(4e-3 * (0.8 + 0.5 * np.sin(2 * turn)), press) + np.outer(dragged * np.cos(turn), drag)
     loads += 1e-5 * rng.standard_normal((cases, m)) @ problem.normal
     started = time.perf_counter()
     cq.solve(problem.replace(load=loads[0]))
@@ -238,7 +242,8 @@ def _cost_with_friction(unknowns: int, cases: int) -> None:
     started = time.perf_counter()
     many = cq.solve_many(fresh(problem), loads=loads)
     taken = time.perf_counter() - started
-    print(f"    with friction, {problem.dimension} unknowns, {m} contacts: first solution {first:.3f} s, {cases} cases "
+    how = "on the floor alone" if floats else "with friction"
+    print(f"    {how}, {problem.dimension} unknowns, {m} contacts: first solution {first:.3f} s, {cases} cases "
           f"{taken:.2f} s, {taken / first:.1f} of the first, {int(many.passed.sum())} passed, "
           f"{int(many.proven.sum())} proven")  # fmt: skip
 
@@ -267,7 +272,8 @@ def cost(unknowns: int, cases: int) -> None:
     print(f"    {cases} load cases: {taken_by_all:.2f} s, {taken_by_all / first:.1f} of the first, "
           f"{int(many.passed.sum())} passed, {int(many.proven.sum())} proven, peak {now / one:.2f} of that of one"
           )  # fmt: skip
-    _cost_with_friction(unknowns, max(1, cases // 5))
+    for floats in (False, True):
+        _cost_with_friction(unknowns, max(1, cases // 5), floats)
     pairs = ("normal_force", "load"), ("displacement", "load"), ("normal_force", "stiffness")
     solves: list[float] = []
     taken: dict[tuple[str, str], list[float]] = {pair: [] for pair in pairs}

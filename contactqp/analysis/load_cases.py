@@ -402,8 +402,23 @@ class Solutions(ReadOnly, Printed):
         rows = problem.normal, problem.tie, problem.tangent
         outer = sum((row.T @ force.ravel() for row, force in zip(rows, forces, strict=True) if row is not None), 0.0)
         u = condense(problem).free_displacements((problem.load - outer)[:, None])[:, 0]
+        u = self._held(problem, u, place)
         run = begin(problem, self.method, Candidate(u, *forces[:2], friction_force=forces[2]), **self._arguments)
         return run.finish()
+
+    def _held(self, problem: ContactProblem, u: Vector, place: int) -> Vector:
+        """Return a displacement moved rigidly to where contacts that are closed here, or stick, and ties hold it."""
+        motions = condense(problem).rigid.motions
+        if not motions.shape[1]:
+            return u
+        sticks, closed = self._status[place] == STATUS.index("stick"), self.normal_force[place] > 0
+        rows, missed = [problem.normal[closed], problem.tie], [problem.gap[closed], problem.tie_value]
+        if problem.tangent is not None and problem.slip_origin is not None:
+            rows.append(problem.tangent[np.repeat(sticks, problem.slip_origin.shape[1])])
+            missed.append(problem.slip_origin[sticks].ravel())
+        held = sp.csr_array(sp.vstack(rows))
+        moved = np.linalg.lstsq(held @ motions, np.concatenate(missed) - held @ u, rcond=None)[0]
+        return np.asarray(u + motions @ moved)
 
     def __iter__(self) -> Iterator[Solution]:
         return (self[i] for i in range(len(self)))

@@ -1,12 +1,12 @@
 """Many load cases of one problem: one factorisation, condensed once, every case certified.
 
-Where cases are many and nothing floats, influence functions (`contactqp.linalg.influence`) turn each into a product
-with its load and a small system, without friction and with it in the plane, whose answer is proven. A case that is
-nearer to other states of its contacts, or less accurate than an answer has to be, is left to `solve`.
+Where cases are many, influence functions (`contactqp.linalg.influence`) turn each into a product with its load and a
+small system, without friction and with it in the plane, whose answer is proven; bodies that float are put on springs.
+A case nearer to other states of its contacts, or less accurate than an answer has to be, is left to `solve`.
 
 States are looked for from those of the case before where the answer is the only one whatever the load, without friction
 and where `contactqp.critical_friction` says so; else from the contacts that close without friction, so that an answer
-does not depend on the cases before it.
+does not depend on the cases before it; of bodies that float from contacts that are all closed.
 
 Answers as functions of JAX and PyTorch, differentiated by what `pullback` says; neither is imported until asked for.
 
@@ -37,7 +37,7 @@ from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.influence import Influence, ProvenForces
+from contactqp.linalg.influence import Influence, ProvenForces, held_by_springs
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import free_memory
 from contactqp.model.arguments import checked
@@ -79,11 +79,11 @@ def solve_many(
 ) -> Solutions:
     """Solve one problem for many loads, gaps or coefficients of friction, each certified as by `solve`.
 
-    The stiffness is factorised and condensed once. Without friction and with it in the plane, where nothing floats, the
-    forces of a case then take a product with influence functions and a small system, and `force_bound` proves them:
-    with friction they are those of an equilibrium, the only one nearby. What is nearer than that to other states of its
-    contacts is solved by itself, as is all else, from the answer of the case before where that is unique: loads that
-    are near to each other should stand next to each other. A case that fails stops no other.
+    The stiffness is factorised and condensed once, and again on springs where a body floats. Without friction and with
+    it in the plane a case then takes a product with influence functions and a small system, and `force_bound` proves
+    its forces: with friction they are those of an equilibrium, the only one nearby. What is nearer than that to other
+    states of its contacts is solved by itself, as is all else, from the answer of the case before where that is unique:
+    loads that are near to each other should stand next to each other. A case that fails stops no other.
 
     Parameters
     ----------
@@ -146,11 +146,14 @@ def _by_influence(cases: LoadCases, rows: _Rows) -> None:
         with problem.lock, one_blas_thread(problem), stage(METHOD), meter.running():
             condensation, loaded, rough = condense(problem), cases.loaded(), _is_rough(cases, problem)
             size, free = len(loaded) * _functions(problem, rough) * loaded.itemsize, free_memory()
-            if condensation.rigid.count or not len(condensation.schur) or size > PART_OF_MEMORY * (free or np.inf):
+            if not len(condensation.schur) or size > PART_OF_MEMORY * (free or np.inf):
                 return
-            influence = Influence(problem, condensation, loaded, rough)
+            warm, springs = not rough or _is_only(cases, condensation), condensation.rigid.count
+            if springs:
+                problem = held_by_springs(problem, condensation.rigid.motions)
+                condensation = condense(problem)
+            influence = Influence(problem, condensation, loaded, rough, springs)
             if influence.accurate:
-                warm = not rough or _is_only(cases, condensation)
                 _take_blocks(cases, rows, influence, loaded, warm)
     except ContactQPError:
         return  # `solve` says of each case what there is to say
@@ -202,8 +205,10 @@ def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: An
             at = place % len(free)
             if influence.rough:
                 friction = cases.coefficients(i)
-            limit = np.concatenate([cases.gap(i), origin, problem.tie_value])
-            if not warm:
+            limit = np.concatenate([cases.gap(i), origin, problem.tie_value, np.zeros(influence.springs)])
+            if influence.springs and not (warm and rows.answered.any()):  # without contacts the body does not stay
+                status = np.where(np.isfinite(limit[:m]), closed, OPEN).astype(np.int8)
+            elif not warm:
                 status = np.where(influence.excess(free[at], limit)[:m] > 0, closed, OPEN).astype(np.int8)
             found = influence.forces(free[at], float(sizes[at]), limit, status, friction)
             if found is not None:
@@ -280,8 +285,8 @@ class _Rows:
 
     def take_forces(self, i: int, found: ProvenForces, friction: Vector) -> None:
         """Keep the proven forces of a case, whose coefficients of friction are given."""
-        m = len(found.gap)
-        self.normal_force[i], self.tie_force[i], self.gap[i] = found.force[:m], found.force[m:], found.gap
+        m, ties = len(found.gap), self.tie_force.shape[1]
+        self.normal_force[i], self.tie_force[i], self.gap[i] = found.force[:m], found.force[m : m + ties], found.gap
         self.force_bound[i] = found.bound[:m]
         if self.friction_force is not None:
             self.friction_force[i] = 0.0 if found.friction_force is None else found.friction_force[:, None]

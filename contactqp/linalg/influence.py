@@ -49,6 +49,7 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import lower_factor
 from contactqp.linalg.extended import Extended, Residuals, extend, two_sum
+from contactqp.linalg.factorization import fixing_unknowns
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -171,14 +172,17 @@ class Influence:
     problem, condensation : the problem, whose body is held without contacts, and its Condensation
     loaded : unknowns at which loads may act
     rough : whether contacts have friction, in the plane: one tangential row each
+    springs : the number of last ties that `held_by_springs` has put on the unknowns of its springs
     """
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation, loaded: Indices, rough: bool) -> None:
+    def __init__(
+        self, problem: ContactProblem, condensation: Condensation, loaded: Indices, rough: bool, springs: int
+    ) -> None:
         operator = condensation.delassus
         stiffness = SlicedStiffness(problem.stiffness_rows, condensation.unknown_scale)
         tangent = problem.tangent if rough else problem.tie[:0]
         on_retained, response, self._scale = operator.rows, operator.response, operator.row_scale
-        self._contacts, self.rough, m = problem.contacts, rough, problem.contacts
+        self._contacts, self.rough, self.springs, m = problem.contacts, rough, springs, problem.contacts
         if rough and condensation.tangent is not None:
             own = condensation.tangent.toarray() * condensation.scale
             on_retained = np.vstack([operator.rows[:m], own, operator.rows[m:]])
@@ -201,12 +205,14 @@ class Influence:
             correction = max(correction, float(np.max(abs(change) / (unit[:, None] * largest[of]))))
         self.accurate = bool(correction <= LARGEST_CORRECTION and np.all(np.isfinite(largest)))
         self._W = (W + W.T) / 2
+        self._W[count - springs :, count - springs :] = 0.0
+        self._definite = not (rough or springs)
         # Errors of Y'f are this times D'|f|; those of W_ij the product of row i's and column j's.
         refined = EPS + ALLOWANCE * correction**2 + stiffness.longest * LEFT_OUT / EPS * correction
         terms, longest = 2 * PART + len(loaded) // PART**2 + 2, int(np.max(np.diff(rows.indptr), initial=0))
         self._unit, self._of_load = unit[loaded], (refined + EPS / 2 * terms) * largest
         self._of_column, self._of_row = (refined + EPS * longest) * largest, abs(rows) @ unit
-        self._least_eigenvalue = 0.0 if rough else self._bounded_eigenvalue()
+        self._least_eigenvalue = self._bounded_eigenvalue() if self._definite else 0.0
         self._systems: dict[bytes, _System | None] = {}
 
     def free(self, loads: Any) -> tuple[Array, Vector]:
@@ -257,7 +263,7 @@ class Influence:
         if not SMALLEST < largest < LARGEST:
             return None
         bound = np.full(len(members), np.inf)
-        if not self.rough:
+        if self._definite:
             bound[:] = np.linalg.norm(off) / self._least_eigenvalue
         if bound.max(initial=0.0) > PROVEN * pushing.max(initial=0.0):
             bound = system.bounded(off)
@@ -342,9 +348,33 @@ class Influence:
         if key not in self._systems:
             if len(self._systems) >= KEPT:
                 self._systems.pop(next(iter(self._systems)))
-            system = _System(self._W, status, ratio, self._tangents, (self._of_row, self._of_column))
+            errors = self._of_row, self._of_column
+            system = _System(self._W, status, ratio, self._tangents, errors, self._definite)
             self._systems[key] = system if system.regular else None
         return self._systems[key]
+
+
+def held_by_springs(problem: ContactProblem, motions: Array) -> ContactProblem:
+    """Return a floating problem on springs, with a tie of value zero for the unknown of each behind its own ties.
+
+    A spring k on unknown j adds k u_j to its forces, and a force p along j takes it away if p = -k u_j, that is, if
+
+        0 = e_j'u + p / k = (Y'f)_j - (W l)_j + p_j / k,
+
+    Y, W and l those of the problem on springs, p among the forces l: an equation as that of a tie, in which W_jj is
+    less by 1 / k. As many springs as there are rigid motions leave nothing of W among them: a unit force on one of
+    them moves the bodies rigidly by 1 / k. With k = K_jj the sum K_jj + k has no rounding.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    motions : (n, r) array, the null space of K
+    """
+    places = fixing_unknowns(motions, np.zeros(0, dtype=np.intp), problem.diagonal)
+    own = sp.csr_array((np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), problem.dimension))
+    K = sp.csr_array(problem.stiffness_rows + own.T @ sp.diags(problem.diagonal[places]) @ own)
+    ties, values = sp.vstack([problem.tie, own]), np.concatenate([problem.tie_value, np.zeros(len(places))])
+    return problem.replace(stiffness=K, near_null_space=None, tie=ties, tie_value=values)
 
 
 class _System:
@@ -357,9 +387,12 @@ class _System:
     ratio : (m,) array, coefficients of friction in scaled forces
     tangents : slice, the places of tangential rows
     errors : what each row and each column contributes to the errors of W
+    definite : whether all such systems are positive definite
     """
 
-    def __init__(self, W: Array, status: Status, ratio: Vector, tangents: slice, errors: tuple[Vector, Vector]) -> None:
+    def __init__(
+        self, W: Array, status: Status, ratio: Vector, tangents: slice, errors: tuple[Vector, Vector], definite: bool
+    ) -> None:
         self.status, self.ratio, self._count = status, ratio, len(W)
         rough = tangents.stop > tangents.start
         self.closed = np.flatnonzero(status != OPEN)
@@ -373,8 +406,8 @@ class _System:
         self._matrix[:, self._of_slips] += W[np.ix_(self.members, self._slip_rows)] * self._dragged
         for part, whole in zip(self._columns, errors, strict=True):
             part[self._of_slips] += abs(self._dragged) * whole[self._slip_rows]
-        self._symmetric = not rough
-        if rough:
+        self._symmetric = definite
+        if not definite:
             *self._factor, info = lapack().dgetrf(self._matrix)
             self.regular = info == 0 or not len(self.members)
         else:

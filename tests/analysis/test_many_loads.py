@@ -246,6 +246,41 @@ def test_influence_functions_prove_forces_that_solve_finds_too(unit: float, apar
     assert wider.normal_force[7] == pytest.approx(alone.normal_force, abs=1e-11 * np.max(alone.normal_force))
 
 
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("unit", [2.0**-40, 1.0, 1e9])
+def test_bodies_that_contacts_alone_hold_are_proven_together(friction: float, unit: float) -> None:
+    """A block on a floor, that rests against a wall where it is smooth, under its weight and a push of each case."""
+    steel = cq.Material(1.0 / unit, 0.3)
+    body = cq.Body(cq.rectangle(2.0, 1.0, (24, 12)), steel, "plane-strain", name="block")
+    structure, rng = cq.Structure([body]), np.random.default_rng(8)
+    pairs = [cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, -1e-3], [0.0, 1.0]))]
+    if not friction:
+        pairs.append(cq.pair(structure.surface("block", "left"), cq.Plane([-1e-3, 0.0], [1.0, 0.0])))
+    problem = structure.assemble([]).problem(pairs, **({"friction": friction} if friction else {}))
+    push = np.zeros((24, problem.dimension))
+    push[:, 1::2] = -1e-6 / unit * (1 + rng.random((24, 1)))
+    push[:, 0::2] = -1e-7 / unit * (1 + rng.random((24, 1)))
+    push += 1e-7 / unit * rng.standard_normal(push.shape)
+    many = cq.solve_many(problem, loads=push)
+    route = many.work.routes[0].split()
+    assert (many.passed.all(), many.proven.all(), route[0]) == (True, True, "influence")
+    assert int(route[2]) >= 20
+    for i in range(0, 24, 6):
+        alone, one, largest = cq.solve(problem.replace(load=push[i])), many[i], np.max(many.normal_force[i])
+        for other in (alone, one):
+            assert other.normal_force == pytest.approx(many.normal_force[i], abs=1e-11 * largest)
+            assert np.all(abs(many.normal_force[i] - other.normal_force) <= many.force_bound[i] + 1e-14 * largest)
+            assert other.contact_status.tolist() == many.contact_status[i].tolist()
+            assert other.gap == pytest.approx(many.gap[i], abs=1e-12)
+            if friction:
+                assert other.friction_force == pytest.approx(many.friction_force[i], abs=1e-11 * largest)
+    # What nothing holds is left to `solve`, which says so.
+    lifted = cq.solve_many(problem, loads=np.vstack([push, -push[:1]]))
+    assert lifted.passed.tolist() == [True] * 24 + [False]
+    assert "drives" in lifted.failures[24] or "held" in lifted.failures[24]
+
+
 @pytest.mark.slow
 def test_no_bound_is_below_the_true_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
