@@ -233,7 +233,7 @@ def _cost_with_friction(unknowns: int, cases: int, floats: bool) -> None:
     problem, rng = held.problem([floor], friction=0.3), np.random.default_rng(0)
     press, drag = (np.asarray(rows.sum(axis=0)).ravel() for rows in (problem.normal, problem.tangent))
     turn, m = np.linspace(0.0, 3.0, cases), problem.contacts
-    dragged = 5e-4 if floats else 2e-3  # friction of 0.3 of what presses least holds it
+    dragged = 3e-4 if floats else 2e-3  # friction of 0.3 of what presses least holds it
     loads = np.outer(4e-3 * (0.8 + 0.5 * np.sin(2 * turn)), press) + np.outer(dragged * np.cos(turn), drag)
     loads += 1e-5 * rng.standard_normal((cases, m)) @ problem.normal
     started = time.perf_counter()
