@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from operator import is_
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -118,17 +118,22 @@ def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
 
 
 def _kept(
-    problem: ContactProblem, answer: Answer, name: str, make: Callable[[], T], rigid: RigidMotions | None = None
+    problem: ContactProblem,
+    answer: Answer,
+    part: Literal["residuals", "sizes"],
+    make: Callable[[], T],
+    rigid: RigidMotions | None = None,
 ) -> T:
-    """Return what was made last under a name if it was made of this very answer to this very problem; else make it.
+    """Return the part of `OfAnswer` if it was made of this very answer to this very problem; else make it.
 
     An answer that its method looks at before it is certified is measured once. Arrays of both cannot be changed.
     """
     given = (problem.load, problem.load_size, problem.gap, problem.tie_value, problem.slip_origin)
     given = (*given, *vars(answer).values(), rigid)
-    cached = problem._computed.of_answer.get(name)
+    cached = getattr(problem._computed.of_answer, part)
     if cached is None or not all(map(is_, cached[0], given)):
-        cached = problem._computed.of_answer[name] = given, make()
+        cached = given, make()
+        setattr(problem._computed.of_answer, part, cached)
     found: T = cached[1]
     return found
 

@@ -27,6 +27,14 @@ class OfStiffness:
 
 
 @dataclass(eq=False)
+class OfAnswer:
+    """What has been computed of the last answer, each with the arrays that it was made of (`certificate.figures`)."""
+
+    residuals: tuple[tuple[Any, ...], Any] | None = None  # in extended precision
+    sizes: tuple[tuple[Any, ...], Any] | None = None  # forces and lengths by which residuals are measured
+
+
+@dataclass(eq=False)
 class Computed:
     """What has been computed of a stiffness and a set of rows, for every load, gap and friction that follow.
 
@@ -71,5 +79,5 @@ class Computed:
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
     judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
     judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
-    of_answer: dict[str, Any] = field(default_factory=dict)  # certificate.figures: of the last answer, by names
+    of_answer: OfAnswer = field(default_factory=OfAnswer)
     contact_operator: Any = None  # solving.friction.contact_form
