@@ -6,7 +6,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.oracle.diagnosis.evidence import CAUSES, SYMPTOMS
-from tests.oracle.corruptions import KINDS, PROBLEMS, Base, Kind, corpus, frictional, frictionless, redundant
+from tests.oracle.corruptions import KINDS, PROBLEMS, Kind, corpus
+from tests.oracle.right_answers import Base, frictional, frictionless, redundant
 
 NAMED = [kind for kind in KINDS.values() if kind.named is not None]
 
@@ -39,7 +40,9 @@ def test_every_corrupted_answer_is_refused_and_its_cause_named(name: str) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_the_cause_of_every_corrupted_answer_is_named(name: str) -> None:
-    for base, given in corpus(KINDS[name]):
+    wrong = list(corpus(KINDS[name]))
+    assert len(wrong) == PROBLEMS
+    for base, given in wrong:
         _is_named(KINDS[name], base, cq.certify(base.problem, **given))
 
 
@@ -51,7 +54,9 @@ def _is_named(kind: Kind, base: Base, judged: cq.JudgedAnswer) -> None:
 
 
 def test_uncorrupted_answers_are_accepted() -> None:
-    for base in frictionless() + frictional() + redundant():
+    every = frictionless(), frictional(), redundant()
+    assert all(every)
+    for base in (base for kind in every for base in kind):
         judged = cq.certify(base.problem, **base.right)
         assert judged.passed, (base.name, judged.failures)
         assert judged.findings == (), base.name
@@ -63,6 +68,8 @@ def test_uncorrupted_answers_are_accepted() -> None:
 @pytest.mark.parametrize("name", ["one_contact_opened_that_pushes", "random_noise"])
 def test_no_cause_is_guessed_where_none_explains_the_answer(name: str) -> None:
     """Some of these answers are right but for one value; of noise nothing is to be said but what it violates."""
-    for base, given in corpus(KINDS[name]):
+    wrong = list(corpus(KINDS[name]))
+    assert len(wrong) == PROBLEMS
+    for base, given in wrong:
         causes = {finding.kind for finding in cq.certify(base.problem, **given).findings if finding.cause}
         assert causes <= {"one-value", "zero"}, (base.name, causes)

@@ -1,0 +1,260 @@
+"""Bounds of bodies that float: rigid motions hide no strain, and the rounding of a stiffness along them is no force."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+from contactqp.certificate.figures import force_norm
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.extended import extend
+from tests.certificate.test_bounds import CHAIN
+
+
+def test_a_large_free_motion_does_not_hide_a_small_strain():
+    """Moved by 2 along the motion that nothing resists, strained by 1e-13: v'Kv drowns in the rounding of Kv."""
+    problem = cq.ContactProblem(CHAIN, [1.0, 0.0, -1.0], [[0, 0, 1.0]], [10.0])
+    truth = np.array([0.01, 0.0, -0.01])
+    moved = truth + 2.0 + np.array([0.0, 1e-13, 0.0])
+    strain = np.diff(moved - truth)  # exact: numbers of like size are subtracted
+    error = np.sqrt(100 * strain @ strain / (truth @ CHAIN @ truth))
+    certificate = cq.certify(problem, moved, [0.0])
+    assert error <= certificate.energy_error <= 100 * error
+    assert certificate.passed
+
+
+def braced_square(stiffness: float) -> np.ndarray:
+    """Four nodes, every two joined by a bar: rigid motions cost no energy but that of rounded numbers."""
+    points, K = np.array([[0, 0], [1, 0], [0, 1], [1, 1.0]]), np.zeros((8, 8))
+    for a in range(4):
+        for b in range(a):
+            along = (points[a] - points[b]) / np.hypot(*(points[a] - points[b]))
+            row = np.zeros(8)
+            row[2 * a : 2 * a + 2], row[2 * b : 2 * b + 2] = along, -along
+            K += stiffness * np.outer(row, row)
+    return K
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
+@pytest.mark.parametrize("strained", [True, False])
+def test_a_right_answer_elsewhere_along_a_free_motion_is_right(strained: bool, unit: float) -> None:
+    """Two seats carry the body and let it slide: the energy that rounding gives a shift is no error; a strain is."""
+    load, seats = np.zeros(8), np.zeros((2, 8))
+    load[[1, 3, 5, 7] if strained else [1, 3]] = -500.0 * unit
+    seats[0, 1] = seats[1, 3] = -1.0
+    problem = cq.ContactProblem(braced_square(2.1e8 * unit), load, seats, [1e-3, 1e-3])
+    found = cq.solve(problem)
+    for shift in (1e-6, 1e-3, 1.0):
+        moved = found.displacement.copy()
+        moved[::2] += shift
+        assert cq.certify(problem, moved, found.normal_force).passed
+        moved[4] += 1e-6 * np.max(abs(found.displacement[1::2]))  # 1e-6 of the fall, as a strain
+        assert not cq.certify(problem, moved, found.normal_force).passed
+        moved[4] = found.displacement[4] + shift
+        assert not cq.certify(problem, moved, found.normal_force * [1 + 2e-6, 1 - 2e-6]).passed
+    note = cq.certify(problem, found.displacement + np.tile([1.0, 0.0], 4), found.normal_force).notes
+    assert any("motions that nothing resists" in line for line in note) == strained  # nothing to be relative to
+
+
+def test_a_floating_body_is_found_behind_a_stiffness_that_rounding_hides():
+    """Condensed onto its ends, a chain of springs 1e9 around one of 14 keeps 14 to eight digits: a pivot of 3e-8."""
+    springs = np.array([4.6875e5, 9.63e6, 9.65e8, 8.25e6, 7.59e8, 13.625, 3.6875e6])
+    K = np.zeros((9, 9))
+    for i, k in enumerate(springs):
+        K[i : i + 2, i : i + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    K[8, 8] = 100.0
+    load = np.zeros(9)
+    load[0], load[8] = 2.0, -1.0
+    rows = np.zeros((2, 9))
+    rows[0, 0], rows[1, 7], rows[1, 8] = -1.0, 1.0, -1.0
+    problem = cq.ContactProblem(K, load, rows, [1.0, 0.25])
+    assert condense(problem).rigid.count == 1
+    assert cq.solve(problem).normal_force == pytest.approx([0.0, 2.0], rel=1e-13)
+
+
+def _floating_triangle(stiffness: float, gap: float, force: float) -> cq.ContactProblem:
+    """Three bars at odd angles, loaded where they land: K z of a rigid motion is rounding, and u* only moves."""
+    at = np.array([[0.0, 0.0], [1.3, 0.1], [0.4, 0.9]])
+    K = np.zeros((6, 6))
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        d = np.concatenate([at[i] - at[j], at[j] - at[i]]) / np.linalg.norm(at[i] - at[j])
+        K[np.ix_([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], [2 * i, 2 * i + 1, 2 * j, 2 * j + 1])] += np.outer(d, d)
+    rows = np.zeros((2, 6))
+    rows[0, 1] = rows[1, 3] = -1.0
+    load = np.array([0.0, -1.0, 0.0, -0.7, 0.0, 0.0]) * force
+    return cq.ContactProblem(stiffness * K, load, rows, [gap, 1.001 * gap])
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize(
+    ("stiffness", "gap", "force"),
+    [(3.1e2, 1e-6, 1e-3), (3.1e2, -0.02, 1e3), (3.1e2, 0.83, 1e6), (7.7e10, 1e-6, 1e3), (7.7e10, -1e-9, 1.0)],
+)
+def test_a_body_whose_stiffness_is_singular_to_rounding_only_may_move_without_strain(stiffness, gap, force):
+    problem = _floating_triangle(stiffness, gap, force)
+    for method in ("active-set", "clarabel"):
+        solution = cq.solve(problem, method)
+        assert solution.normal_force == pytest.approx([force, 0.7 * force], rel=1e-9)
+        assert solution.certificate.proven
+    u, push = solution.displacement, solution.normal_force
+    strained = u + np.array([0.0, 0.0, 0.0, 0.0, 1e-6 * max(abs(gap), force / stiffness), 0.0])
+    assert not cq.certify(problem, strained, push).passed
+    assert not cq.certify(problem, u, push * [1.0, 1 + 1e-5]).passed
+
+
+def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refused():
+    """Moved by 0.83 m, bars of 7.7e10 leave 1e-5 N of rounding, and loads of 1e-3 N would be carried to a percent."""
+    problem = _floating_triangle(7.7e10, 0.83, 1e-3)
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx([1e-3, 0.7e-3], rel=1e-12)
+    assert "zero along the rigid motions" in solution.certificate.notes[-1]
+    rounding = problem.stiffness @ solution.displacement
+    carried = np.linalg.lstsq(problem.normal.toarray().T, problem.load - rounding, rcond=None)[0]
+    assert abs(np.sum(carried) - 1.7e-3) > 1e-6 * 1.7e-3
+    refused = cq.certify(problem, solution.displacement, carried)
+    assert any("balance: the forces on a body do not balance" in failure for failure in refused.failures)
+
+
+@pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
+@pytest.mark.parametrize("springs", [3, 60])
+def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs, contrast):
+    """Two contacts press a chain from both ends: |d|_W^2 = d^2 sum 1/k, whichever precision its residuals need."""
+    k = np.geomspace(1.0, contrast, springs)
+    K = sp.lil_matrix((springs + 1, springs + 1))
+    for i, stiffness in enumerate(k):
+        K[i : i + 2, i : i + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    ends = np.zeros((2, springs + 1))
+    ends[0, 0], ends[1, -1] = -1.0, 1.0
+    problem = cq.ContactProblem(
+        K.tocsc(), np.zeros(springs + 1), ends, [0.0, 0.0], near_null_space=np.ones((springs + 1, 1))
+    )
+    way = condense(problem)
+    assert way.rigid.count == 1
+    for force in (1.0, 1e-9, 1.0):  # the first tells how refinement goes on, the others know
+        norm, rounding = force_norm(problem, way, extend(np.full(2, force)))
+        truth = force * np.sqrt(np.sum(1 / k))
+        assert abs(norm - truth) <= rounding + 1e-14 * truth
+        assert rounding <= 1e-6 * truth
+
+
+def test_a_load_that_misses_balance_by_1e_11_is_carried_by_the_stop_that_it_drives_to():
+    """A free bar in tension, pulled a little more to the one side: its stop is half a length away."""
+    net = 2.0**-36
+    problem = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, net - 1.0], [[1.0, 0.0]], [0.5])
+    assert cq.solve(problem).normal_force == pytest.approx([net], rel=1e-9)
+    assert not cq.certify(problem, [0.5, -0.5], [0.0]).passed
+    rounding = problem.replace(load=[1.0, 2.0**-52 - 1.0])  # no load of doubles balances better
+    assert cq.solve(rounding).normal_force == pytest.approx([0.0], abs=2.0**-51)
+
+
+def _rounded_bar(first: float, second: float, load: float, rows: list[float], gap: float) -> cq.ContactProblem:
+    """Two springs whose sum is rounded: K z of the rigid motion z is a force at the middle node."""
+    K = np.array([[first, -first, 0.0], [-first, first + second, -second], [0.0, -second, second]])
+    return cq.ContactProblem(K, [load, 0.0, -load], [rows], [gap])
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize(("first", "second"), [(0.1, 0.2), (0.3, 0.6), (0.7, 0.1), (1.1, 2.2)])
+@pytest.mark.parametrize("moved", [1e5, 1e7])
+def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_from_the_error(first, second, moved):
+    """v = z + a strain of known energy, z'Kz < 0 or > 0 by rounding; and v is the error, or the solution itself."""
+    problem = _rounded_bar(first, second, 1e-3, [0.0, 0.0, 1.0], 1e9)
+    truth = np.array([1e-3 / first, 0.0, -1e-3 / second])
+    strain = np.array([2.0**-8, 0.0, -(2.0**-9)])
+    error = np.sqrt(first * strain[0] ** 2 + second * strain[2] ** 2) / np.sqrt(1e-6 / first + 1e-6 / second)
+    certificate = cq.certify(problem, truth + strain + 2.0 ** np.round(np.log2(moved)), [0.0])
+    assert error * (1 - 1e-5) <= certificate.energy_error <= error * (1 + 1e3 * moved * 1e-8)
+
+    stopped = _rounded_bar(first, second, 1e-3, [1.0, 0.0, 0.0], -(2.0 ** np.round(np.log2(moved))))
+    at = truth - truth[0] + stopped.gap[0]
+    certificate = cq.certify(stopped, at + strain - strain[0], [0.0])
+    assert certificate.energy_error >= error * (1 - 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "row"),
+    [((1.0, 1.0, 1.0), 1.0), ((2.0**9, 2.0**-13, 2.0**-20), 2.0**-24), ((2.0**-20, 2.0**15, 2.0**9), 2.0**19)],
+)
+def test_a_force_on_a_floating_body_is_judged_beside_the_largest_in_any_units(unknown, row: float) -> None:
+    """A bar under 1e5 at both ends leans on a stop with 1.125: off by 1e-5 it passed where unknowns had other units.
+
+    The energy norm of forces on what floats has the rigid response in it, which depends on the units of unknowns.
+    """
+    d = np.asarray(unknown)
+    K = 1e6 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    problem = cq.ContactProblem(
+        stiffness=K / np.outer(d, d), load=np.array([1e5 + 1.125, 0.0, -1e5]) / d,
+        normal=np.array([[1.0, 0.0, 0.0]]) / d * row, gap=[0.0],
+    )  # fmt: skip
+    right = cq.solve(problem)
+    assert right.normal_force * row == pytest.approx([1.125], rel=1e-10)
+    forged = cq.certify(problem, right.displacement, right.normal_force * (1 + 1.1e-5))
+    assert not forged.passed
+    assert any("the force of contact 0" in failure and "1.1e-05" in failure for failure in forged.failures)
+
+
+# A lattice of eight unknowns that one spring holds: it turns and slides freely.
+LATTICE = np.array(
+    [
+        [819600, 400, -819200, 0, 0, 0, -400, -400],
+        [400, 6416, 0, 0, 0, -6016, -400, -400],
+        [-819200, 0, 819205.75, -5.75, -5.75, 5.75, 0, 0],
+        [0, 0, -5.75, 92165.75, 5.75, -5.75, 0, -92160],
+        [0, 0, -5.75, 5.75, 7557.9208984375, -5.75, -7552, 0],
+        [0, -6016, 5.75, -5.75, -5.75, 6021.75, 0, 0],
+        [-400, -400, 0, 0, -7552, 0, 7952, 400],
+        [-400, -400, 0, -92160, 0, 0, 400, 92560],
+    ]
+)
+
+
+def test_no_rigid_motion_that_leaves_a_gap_penetrated_bounds_forces_of_the_wrong_sign():
+    """A rigid motion meets either contact alone, and both strain it: what is not met counts, pushing or not."""
+    normal = np.zeros((2, 8))
+    normal[0, [1, 2]], normal[1, [2, 5]] = (-1, 1), (-1, 1)
+    problem = cq.ContactProblem(LATTICE, np.zeros(8), normal, [0.1484375, -0.3896484375])
+    right = cq.solve(problem)
+    assert np.all(right.normal_force > 1000)
+    certificate = cq.certify(problem, right.displacement, -right.normal_force)
+    assert not certificate.passed
+    assert np.all(certificate.force_bound >= 2 * right.normal_force * (1 - 1e-9))
+
+
+def test_forces_on_what_floats_are_measured_where_units_differ_by_1e8():
+    """One of two free motions has 1e-8 of its size at an unknown whose unit makes it matter as much."""
+    K = np.array([[12 * 2.0**30, -96.0, -(3 * 2.0**18)], [-96.0, 2.0**-20, 2.0**-8], [-(3 * 2.0**18), 2.0**-8, 64.0]])
+    K = K[np.ix_([0, 1, 2, 0], [0, 1, 2, 0])]
+    problem = cq.ContactProblem(K, np.zeros(4), [[2.0**16, 0.0, 0.0, 0.0]], [1.0])
+    assert condense(problem).rigid.count == 2
+    norm, uncertain = force_norm(problem, condense(problem), extend(np.ones(1)))
+    # What no motion takes of the force is C y, C being columns of K that span the others.
+    C = [[Fraction(entry) for entry in K[:, place]] for place in (0, 2)]
+    gram = [[sum(a * b for a, b in zip(one, other, strict=True)) for other in C] for one in C]
+    work = [column[0] * 2**16 for column in C]
+    determinant = gram[0][0] * gram[1][1] - gram[0][1] ** 2
+    y = [
+        (gram[1][1] * work[0] - gram[0][1] * work[1]) / determinant,
+        (gram[0][0] * work[1] - gram[0][1] * work[0]) / determinant,
+    ]
+    resisted = [y[0] * C[0][i] + y[1] * C[1][i] for i in (0, 2)]
+    exact = float(y[0] * resisted[0] + y[1] * resisted[1]) ** 0.5
+    assert abs(norm - exact) <= uncertain + 1e-15 * exact
+    assert uncertain < 1e-9 * exact
+
+
+def test_a_candidate_far_away_does_not_make_the_truth_small() -> None:
+    """A candidate that has moved by 1e6 rounds away the strain of the truth; the truth's own is known all the same."""
+    problem = cq.ContactProblem(braced_square(1e2), np.tile([0.0, -1e-9], 4), np.eye(8)[[1, 3]] * -1.0, [1e-5, 1e-5])
+    truth = cq.solve(problem)
+    far = truth.displacement + 5e6 * np.tile([0.3, 1.0], 4)
+    far[4] += 1e-6
+    apart = far - truth.displacement
+    strain = np.sqrt(apart @ problem.stiffness @ apart)
+    size = np.sqrt(truth.displacement @ problem.stiffness @ truth.displacement)
+    found = cq.certify(problem, far, truth.normal_force)
+    assert size > 0
+    assert found.energy_error >= 0.5 * strain / size > 1e3
+    assert not found.passed
