@@ -68,6 +68,7 @@ def test_displacements_decay_over_twenty_orders(name: str) -> None:
 def test_answers_of_free_bodies_that_only_move_cost_next_to_no_energy(name: str) -> None:
     for problem in (family(name, seed) for seed in range(5)):
         u = floats(find_truth(problem).displacement)
+        assert np.any(u)
         energy, terms = u @ (problem.stiffness @ u), abs(u) @ (abs(problem.stiffness) @ abs(u))
         assert energy <= 1e-5 * terms
 
@@ -319,6 +320,7 @@ def test_a_start_that_is_exact_measures_no_contraction() -> None:
 def test_no_bound_is_below_the_error_where_noise_and_lost_digits_meet(name: str, seed: int, method: str) -> None:
     report = judging.judge(name, seed, (method,))
     assert report.truth == "exact"
+    assert report.bounds
     assert not [bound for bound in report.bounds if bound.below]
     assert not report.truth_refused
     assert not report.spoiled_passed

@@ -111,6 +111,7 @@ def test_facets_enclose_the_element_and_point_out_of_it(name):
 def test_facets_list_corners_then_middles_between_them_then_the_centre(name):
     kind = REFERENCES[name]
     facet = REFERENCES[kind.facet]
+    assert kind.facets
     for nodes in kind.facets:
         assert len(nodes) == len(facet.nodes)
         corners = kind.nodes[list(nodes[: facet.corners])]

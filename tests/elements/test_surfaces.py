@@ -226,6 +226,7 @@ def test_pairs_are_the_same_in_other_units(unit):
         return [f(slave, master) for f in (cq.pair_mortar, cq.pair_node_to_segment)]
 
     for one, other in zip(pairs(1.0), pairs(unit), strict=True):
+        assert len(one.gap) == 4
         assert one.gap == pytest.approx(0.1)
         np.testing.assert_allclose(other.gap / unit, one.gap, rtol=1e-12)
         np.testing.assert_allclose(other.normal.toarray(), one.normal.toarray(), rtol=0, atol=1e-12)

@@ -75,6 +75,7 @@ def test_a_published_problem_survives_writing(name, tmp_path):
     stored = cq.read_problem(published(name), as_stored=True)
     cq.write_fclib(tmp_path / "a.hdf5", stored)
     back = cq.read_fclib(tmp_path / "a.hdf5", as_stored=True)
+    assert vars(stored)
     for a, b in ((getattr(p, field) for p in (stored, back)) for field in vars(stored)):
         if hasattr(a, "toarray"):
             assert a.shape == b.shape

@@ -158,7 +158,9 @@ def test_neither_does_what_pairs_and_deforms() -> None:
         arch(bars=bars).body,
     ]
     for holder in theirs:
-        for path, array in arrays(holder):
+        found = list(arrays(holder))
+        assert found, type(holder)
+        for path, array in found:
             assert not any(np.shares_memory(array, own) for own in mine), (type(holder), path)
     assert all(own.flags.writeable for own in mine)
 
@@ -173,6 +175,7 @@ def test_a_solution_shares_no_array_with_what_is_solved_next() -> None:
     problem = sparse_plane()
     first = cq.solve(problem)
     kept = {path: array.copy() for path, array in arrays(first)}
+    assert kept
     for factor in (2.0, -1.0, 0.5):
         cq.solve(problem.replace(load=factor * problem.load), warm_start=first)
     assert all(np.array_equal(kept[path], array) for path, array in arrays(first))

@@ -179,7 +179,9 @@ def test_of_several_equilibria_the_nearest_is_set_beside() -> None:
     """Klarbring's (1990) contact, mu above the critical: open, stick and slip are all right."""
     data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
     problem = cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8)
-    for one in cq.equilibria(problem):
+    known = cq.equilibria(problem)
+    assert len(known) == 3
+    for one in known:
         near = np.add(one.displacement, [0.0, 1e-4])
         judged = cq.certify(problem, near, one.normal_force, one.friction_force)
         assert not judged.passed

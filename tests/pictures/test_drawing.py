@@ -174,13 +174,14 @@ def test_an_obstacle_is_drawn_where_it_is():
 def test_nothing_is_clipped():
     axes = figure(stack().fields, scale=10.0).axes[0]
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    for artist in axes.collections:
-        paths = [path.vertices for path in artist.get_paths()] if artist.get_gid() in ("deformed", "pressure") else []
-        for x in paths:
-            assert left < x[:, 0].min()
-            assert x[:, 0].max() < right
-            assert low < x[:, 1].min()
-            assert x[:, 1].max() < high
+    drawn = {artist.get_gid(): artist.get_paths() for artist in axes.collections}
+    assert drawn["deformed"]
+    assert drawn["pressure"]
+    for x in (path.vertices for path in (*drawn["deformed"], *drawn["pressure"])):
+        assert left < x[:, 0].min()
+        assert x[:, 0].max() < right
+        assert low < x[:, 1].min()
+        assert x[:, 1].max() < high
 
 
 def test_the_title_says_the_chosen_magnification():

@@ -191,6 +191,7 @@ def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     legend = figure.legends[0].get_window_extent(renderer)
     shown = figure.axes[0].yaxis if found.upright else figure.axes[0].xaxis
     assert shown.label.get_window_extent(renderer).y0 > legend.y1
+    assert figure.axes[0].get_lines()
     for line in figure.axes[0].get_lines():
         x = np.asarray(line.get_xdata(), dtype=float)
         low, high = figure.axes[0].get_xlim()

@@ -320,13 +320,16 @@ def test_every_parameter_that_is_not_offered_is_refused_by_its_line(folder: path
 
 
 def test_every_other_element_is_refused_by_its_line(folder: pathlib.Path) -> None:
+    assert len(OTHER_ELEMENTS) > 5
     for kind, why in OTHER_ELEMENTS.items():
         said = refusal(folder, STACK.replace("TYPE=C3D8,", f"TYPE={kind},").splitlines())
         assert f"line 20: *ELEMENT: elements {kind}: {why}" in said
 
 
 def test_a_misspelled_keyword_is_answered_with_the_nearest(folder: pathlib.Path) -> None:
-    for keyword in (one for one in KEYWORDS.values() if one.effect is Effect.READ and len(one.name) > 4):
+    read = [one for one in KEYWORDS.values() if one.effect is Effect.READ and len(one.name) > 4]
+    assert len(read) > 20
+    for keyword in read:
         lines, at = with_keyword(keyword.name)
         wrong = lines[at].upper().replace(keyword.name, keyword.name[:-2] + keyword.name[-1], 1)
         said = refusal(folder, [*lines[:at], wrong, *lines[at + 1 :]])

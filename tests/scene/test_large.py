@@ -129,6 +129,7 @@ def off(value):
 
 
 def test_every_claim_is_of_one_of_the_paths():
+    assert RIGHT
     assert all(of in (BY_NODE, FLOOR | BY_ARC, FLOOR | BY_LOAD) for of, *_ in RIGHT)
 
 

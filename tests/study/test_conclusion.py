@@ -355,6 +355,7 @@ def test_the_terminal_ends_with_the_same_table(
     names = [line.split()[0].strip(",") for line in table.splitlines() if "%" in line]
     assert names == [line.method for line in found.lines]
     assert max(map(len, out.splitlines()[:-1])) <= 80  # the last one names files
+    assert found.answers
     for question, answer in found.answers:
         assert f"{question} {answer}" in " ".join(out.split())
 

@@ -90,6 +90,7 @@ def test_errors_are_true_errors(written: tuple[Path, report.ReportResult]) -> No
         assert row.error_force == pytest.approx(105000 / (beta + 105000), rel=1e-6)
         assert row.verdict == rows.APPROXIMATE
     exact = [row for row in mine if row.variant == "polished" or row.method == "active-set"]
+    assert {row.method for row in exact} >= {"active-set", "osqp"}
     assert all(row.verdict == rows.RIGHT and row.expectations_unmet == 0 for row in exact)
     raw = {row.knob_value: row for row in mine if row.method == "osqp" and row.variant == "raw"}
     assert raw[1e-3].verdict == rows.REFUSED

@@ -132,7 +132,9 @@ def test_a_case_without_a_truth_has_no_chart() -> None:
 def test_plotly_takes_the_figures_and_they_are_small() -> None:
     from plotly.graph_objects import Figure
 
-    for chart in _case_charts(report()):
+    charts = _case_charts(report())
+    assert charts
+    for chart in charts:
         Figure(dict(chart.figure))
         assert len(json.dumps(chart.figure, allow_nan=False)) < 8000
 
@@ -232,6 +234,7 @@ def test_by_themselves_means_raw_and_on_all_unknowns() -> None:
 def test_means_are_those_of_the_statistics() -> None:
     found = overview(report().rows)
     chart = _charts()["mean-times"]
+    assert found.times
     for times, mean in zip(found.times, found.means, strict=True):
         assert _trace(chart, name=str(times.route))["x"] == pytest.approx([1e3 * mean], rel=1e-3)
     assert chart.figure["layout"]["yaxis"]["categoryarray"][-1] == "osqp"  # the fastest is on top
@@ -243,6 +246,7 @@ def test_ways_can_be_told_apart_without_lines() -> None:
 
 
 def test_captions_say_what_is_good() -> None:
+    assert len(_charts()) > 1
     for name, chart in _charts().items():
         if name != "silently-wrong":  # whose second bar must be 0
             assert re.search(r"further left is (faster|better)|best at 100 %", chart.caption, re.IGNORECASE), name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.model.problem import ContactProblem
+from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.study import settings
 from contactqp.study.case_study import CaseStudy, load_studies
@@ -97,7 +99,9 @@ def test_a_study_says_what_it_leaves_out() -> None:
     assert "4961 unknowns" in said[1]
 
 
-def test_a_missing_method_is_asked_once() -> None:
-    missing = [method for method in cq.methods() if not method.installed]
-    for method in missing:
+def test_a_missing_method_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = replace(find("osqp"), name="absent", packages=("no_package_of_this_name",))
+    monkeypatch.setitem(registry._REGISTRY, absent.name, absent)
+    assert len(_study("cantilever_stop", "osqp").settings) > 1
+    for method in (method for method in cq.methods() if not method.installed):
         assert [setting.whole for setting in _study("cantilever_stop", method.name).settings] == [False]

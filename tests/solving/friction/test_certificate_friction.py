@@ -163,10 +163,10 @@ def test_the_natural_map_is_invariant(what: str, dimension: int, count: int) -> 
 @pytest.mark.slow
 def test_exact_answers_of_stiff_and_floating_problems_pass() -> None:
     rng = np.random.default_rng(8)
-    for _ in range(15):
-        problem = random_problem(rng)
-        for state in cq.equilibria(problem):
-            assert state.certificate.natural_map < 1e-10
+    states = [state for _ in range(15) for state in cq.equilibria(random_problem(rng))]
+    assert len(states) >= 10
+    for state in states:
+        assert state.certificate.natural_map < 1e-10
     for pull in (2.4, 2.5, 7.35, 12.0):
         assert cq.solve(two_masses(pull)).certificate.natural_map < 1e-14
     for factor in (1e-12, 1e12):

@@ -70,6 +70,7 @@ def test_forces_of_redundant_contacts_and_motions_that_nothing_resists() -> None
         tangent=[[0.0, 1.0]] * 2, friction=0.5,
     )  # fmt: skip
     hanging = cq.exact_equilibria(walls)
+    assert hanging
     assert all(block.continuum for block in hanging), "pressed just so that it slides, it hangs anywhere"
     for block in hanging:
         assert sum(block.friction_force.ravel()) == -1

@@ -62,7 +62,9 @@ def test_what_the_note_says() -> None:
 
 def test_a_continuum_of_answers_is_several() -> None:
     """At mu = mu_c and f = (-1, 1/2) all states between open and stuck are answers."""
-    for state in cq.equilibria(one_contact(KLARBRING, KLARBRING @ np.array([-1.0, 0.5]), 0.5)):
+    states = cq.equilibria(one_contact(KLARBRING, KLARBRING @ np.array([-1.0, 0.5]), 0.5))
+    assert states
+    for state in states:
         assert state.certificate.uniqueness == (SEVERAL,)
 
 
@@ -71,7 +73,9 @@ def test_a_continuum_of_answers_is_several() -> None:
     [(1.0, (-0.01, -1.0), ()), (1.5, (-0.01, -1.0), ()), (1.5, (0.01, -1.0), (SEVERAL,))],
 )
 def test_rod(friction: float, free: tuple[float, float], several: tuple[str, ...]) -> None:
-    for state in cq.equilibria(one_contact(ROD, free, friction)):
+    states = cq.equilibria(one_contact(ROD, free, friction))
+    assert len(states) == (3 if several else 1)
+    for state in states:
         assert state.certificate.uniqueness == several
 
 

@@ -80,6 +80,7 @@ def test_a_motion_has_mass_and_the_equation_of_its_scheme() -> None:
 def test_every_symbol_of_a_scheme_is_explained() -> None:
     explained = {symbol.latex for symbol in SYMBOLS}
     known = {"u", "v", "K", "M", "E_N", r"\lambda_N", "f", "g"}
+    assert len(STEPS) >= 6
     for name, lines in STEPS.items():
         words = re.sub(r"\\text\{[^}]*\}|\\(frac|left|right|ge|le|max)(?![a-z])", " ", " ".join(lines))
         found = set(re.findall(r"\\[a-z]+(?:_N)?|E_N|P_N|[A-Za-z]", words.replace("E_N^T", "E_N")))
@@ -111,6 +112,8 @@ def test_blocks_that_have_equations_are_called_so_in_explanations(case: str, nam
 
 def test_formulas_are_well_formed() -> None:
     stated = [formula.latex for name in ("truss_friction", "von_mises_snaps") for formula in _of(name).formulas]
+    assert len(stated) > 4
+    assert STEPS
     for latex in [line for lines in (*STEPS.values(), stated) for line in lines]:
         tree = ElementTree.fromstring(mathml(latex, "block"))
         assert tree.tag.endswith("math")

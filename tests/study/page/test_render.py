@@ -107,6 +107,7 @@ def test_figures_survive_the_page(page: Page) -> None:
 
 
 def test_it_loads_nothing(page: Page) -> None:
+    assert page.elements
     for tag, attributes in page.elements:
         assert tag not in ("link", "iframe", "object", "embed", "base")
         for name in LOADS:
@@ -132,6 +133,9 @@ def test_identifiers_are_unique_and_links_have_targets(page: Page) -> None:
 
 def test_every_row_and_case_is_there(page: Page) -> None:
     data = hostile()
+    assert any(data.rows_of(case.name) for case in data.cases)
+    assert any(case.judgements for case in data.cases)
+    assert any(case.remarks for case in data.cases)
     for case in data.cases:
         told = table_of_rows(case.title, data.rows_of(case.name))
         assert [(line.cells[0], line.cells[1]) for line in told.lines] == [

@@ -158,6 +158,7 @@ def test_a_crash_is_kept_too(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_no_process_stays_behind() -> None:
     places = run_cells([_cell(str(i), do.where) for i in range(4)], Processes(2))
+    assert len(places) == 4
     assert not any(_alive(int(result.value)) for result in places.values())
 
 

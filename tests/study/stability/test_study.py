@@ -321,7 +321,7 @@ def test_cells_of_many_contacts_are_expected_to_take_long() -> None:
     costs = {(cell.axis, cell.value): cells_module.runnable(cell).cost for cell in cells(methods=["active-set"])}
     assert costs["contacts", 1e4] > 100
     assert costs["closed-contacts", 1e5] > costs["closed-contacts", 1e4]
-    assert all(cost == 1 for (axis, _), cost in costs.items() if not axis.endswith("contacts"))
+    assert {cost for (axis, _), cost in costs.items() if not axis.endswith("contacts")} == {1}
 
 
 def test_a_cell_whose_process_died_is_a_row() -> None:
@@ -377,6 +377,7 @@ def test_bars_are_the_safe_ranges(small: StabilityStudy, tmp_path: Path) -> None
     assert found is not None
     assert [title for title, _ in found.axes] == [axis.title for axis in small.axes]
     bars = {method: line for method, line in found.lines}
+    assert all(small.ranges(axis) for axis in small.axes)
     for place, axis in enumerate(small.axes):
         for one in small.ranges(axis):
             bar = bars[one.method][place]

@@ -103,6 +103,7 @@ def test_past_the_critical_coefficient_there_are_three_answers() -> None:
     assert len(posed.exact) == 3
     listed = cq.exact_equilibria(posed.problem)
     assert {tuple(e.displacement) for e in listed} == {answer.displacement for answer in posed.exact}
+    assert len(posed.truth.others) == 2
     for answer in posed.truth.others:  # each of them is right
         assert posed.truth.errors(answer.displacement, answer.normal_force, None).small
     between = (posed.truth.displacement + posed.truth.others[0].displacement) / 2
