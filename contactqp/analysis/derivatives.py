@@ -189,7 +189,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
-    limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.few_touch)
+    limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.sharings_are_few)
     if linearised.redundant and (of in FORCES or limited):
         return REDUNDANT
     problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
@@ -243,7 +243,8 @@ def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Directio
 
 def _energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) -> tuple[float, float | None]:
     """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and what it may be off by."""
-    problem, solution, known, du = linearised.problem, linearised.solution, linearised.known, rates.displacement
+    problem, solution, known = linearised.problem, linearised.solution, linearised.extended_answer
+    du = rates.displacement
     if known is None or known.bound is None or rates.bound is None:
         half = float(-0.5 * solution.displacement @ direction.strained)
         return float(-_value(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
@@ -296,7 +297,7 @@ def _rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float
 
     That is the envelope theorem.
     """
-    solution, known = linearised.solution, linearised.known
+    solution, known = linearised.solution, linearised.extended_answer
     if known is None or known.bound is None:
         rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
         return float(rate - solution.tie_force @ direction.tie_value + direction.work), None

@@ -290,8 +290,8 @@ class _Rows:
         self.force_bound[i] = found.bound[:m]
         if self.friction_force is not None:
             self.friction_force[i] = 0.0 if found.friction_force is None else found.friction_force[:, None]
-        rubs = np.where(found.status == STICK, NUMBER["stick"], NUMBER["slip"])
-        closed = np.where(friction > 0, rubs, NUMBER["closed"])
+        rough = np.where(found.status == STICK, NUMBER["stick"], NUMBER["slip"])
+        closed = np.where(friction > 0, rough, NUMBER["closed"])
         self.status[i] = np.where(found.status == OPEN, NUMBER["open"], closed)
         self.passed[i] = self.proven[i] = self.answered[i] = self.started[i] = True
 

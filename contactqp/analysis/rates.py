@@ -224,8 +224,8 @@ class Linearised:
         return in_space and bool(len(self.undecided) or self.system is None or np.any(self.system.turning != 0))
 
     @property
-    def few_touch(self) -> bool:
-        """Return whether the ways in which contacts share their forces can be looked through."""
+    def sharings_are_few(self) -> bool:
+        """Return whether so few contacts touch that every sharing of their forces can be tried."""
         return not self._sparse and len(self.closed) + len(self.grazing) <= MOST_SHARING
 
     @property
@@ -289,12 +289,12 @@ class Linearised:
         if not solved.settled:
             raise NoRates(SINGULAR)
         found, bound, off = solved.found, solved.bound, None
-        if direction.by_answer and system.across is None and self.known is not None:
-            found, bound, off = system.completed(solved, data, own, direction, self.known)
+        if direction.by_answer and system.across is None and self.extended_answer is not None:
+            found, bound, off = system.completed(solved, data, own, direction, self.extended_answer)
         return replace(self._of_parts(system, direction, found, bound, own), off=off)
 
     @cached_property
-    def known(self) -> Solved | None:
+    def extended_answer(self) -> Solved | None:
         """Return the answer in twice double precision, from the system of its states; None where slips may turn."""
         if self._sparse or (self.problem.frictional and self._drag.shape[1] > 1):
             return None

@@ -138,7 +138,7 @@ def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class ForcesMet:
     """The unknowns that rows of contacts act on, the forces that meet there, and those that are nothing [force]."""
 
     entries: ContactEntries
@@ -150,7 +150,7 @@ class Felt:
         return vector_measure(self.entries, force, self.meeting, self.nothing)
 
 
-def friction_measure(across: Felt, along: Felt, hardly: Mask) -> Callable[[Array], Vector]:
+def friction_measure(across: ForcesMet, along: ForcesMet, hardly: Mask) -> Callable[[Array], Vector]:
     """Return the function that measures tangential forces (m, d-1) by the forces that meet at their unknowns, (m,).
 
     Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
@@ -210,8 +210,8 @@ def coulomb_data(problem: ContactProblem, found: Slips, F: Vector, none: Vector)
     """
     if problem.friction is None:
         return None
-    across = Felt(contact_entries(problem, "tangent"), F, none)
-    measure = friction_measure(across, Felt(contact_entries(problem, "normal"), F, none), found.hardly)
+    across = ForcesMet(contact_entries(problem, "tangent"), F, none)
+    measure = friction_measure(across, ForcesMet(contact_entries(problem, "normal"), F, none), found.hardly)
     return CoulombData(found.slip, found.rounding, problem.friction, measure)
 
 

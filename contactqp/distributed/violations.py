@@ -10,7 +10,7 @@ import numpy as np
 
 from contactqp.certificate.coulomb_law import (
     CoulombData,
-    Felt,
+    ForcesMet,
     bare_infinite,
     entries_of,
     friction_measure,
@@ -235,7 +235,7 @@ def _friction_data(
     near = tangent.at_touched(displacement)
     slip = np.asarray(tangent.entries @ near).reshape(origin.shape) - origin
     across, along = (
-        Felt(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(none))
+        ForcesMet(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(none))
         for rows in (tangent, problem.normal)
     )
     rounding = rounded_slips(tangent.sizes @ abs(near), origin)

@@ -184,7 +184,7 @@ def test_friction_on_a_ball_is_along_the_tangents_of_now():
 
 
 @pytest.mark.slow
-def test_a_tripod_rubs_over_a_sphere():
+def test_a_tripod_slides_over_a_sphere():
     """In space: balance of the bars, the weight and the push with pressure and friction across it, along the slip."""
     feet = [[1.0, 0.0], [-0.5, 0.8], [-0.6, -0.7]]
     nodes = [{"name": f"{i}", "at": [f"{x} m", f"{y} m", "1 m"]} for i, (x, y) in enumerate(feet)]

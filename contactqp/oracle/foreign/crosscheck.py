@@ -345,8 +345,8 @@ class _Judging:
             pressure=judged.pressure(given)[kept],
             reference_pressure=judged.pressure(judged.along(truth_vectors))[kept],
             notes=(*judged.contact.pairing.notes, *self._stress_across(number, size)),
-            friction=along[0] if judged.rubs else None,
-            reference_friction=along[1] if judged.rubs else None,
+            friction=along[0] if judged.has_friction else None,
+            reference_friction=along[1] if judged.has_friction else None,
         )
 
     def _stress_across(self, number: int, size: float) -> Iterator[str]:
@@ -382,8 +382,8 @@ class _Judging:
                 if apart < whole / 3 and whole > WORTH * self.tolerance * found.size:
                     yield f"of the difference {1 - apart / whole:.0%} is that of the springs that the deck states"
                     break
-            rubbing = (judged.friction(one) for one in (vectors, self._springs[number], self._truth[number]))
-            theirs, yielding, right = rubbing
+            sums = (judged.friction(one) for one in (vectors, self._springs[number], self._truth[number]))
+            theirs, yielding, right = sums
             if WORTH * self.tolerance * found.size < abs(theirs - right) > 3 * abs(theirs - yielding):
                 yield f"friction yields on the stick slope that the deck states: on it the nodes have {yielding:.6g}"
 

@@ -143,13 +143,13 @@ class PairNodes:
         return np.asarray(np.einsum("qd,qd->q", vectors, self.direction))
 
     @property
-    def rubs(self) -> bool:
+    def has_friction(self) -> bool:
         """Return whether there is friction, and the forces along the surface are known."""
         return self.alone and self.contact.interaction.friction > 0
 
     def friction(self, vectors: Array) -> float:
         """Return the sum of the sizes of the parts of vectors (q, d) along the surface, 0 without friction [force]."""
-        if not self.rubs:
+        if not self.has_friction:
             return 0.0
         size = (self.direction**2).sum(axis=1, keepdims=True)
         along = vectors - self.along(vectors)[:, None] * self.direction / size

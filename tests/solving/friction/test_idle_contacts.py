@@ -93,7 +93,7 @@ def test_a_load_that_condensation_cancels_drives_no_motion() -> None:
 
 @pytest.mark.parametrize("idle", [{"gap": [np.inf], "friction": 0.3}, {"gap": [0.1], "friction": 0.0}])
 @pytest.mark.parametrize("algorithm", ["newton", "tresca", "enumeration"])
-def test_an_algorithm_is_no_mistake_where_nothing_rubs(idle: dict[str, Any], algorithm: str) -> None:
+def test_an_algorithm_is_no_mistake_without_friction(idle: dict[str, Any], algorithm: str) -> None:
     # A sweep over the coefficient begins at zero, and one over the gap ends where nothing touches.
     facts = dict(stiffness=[[2.0, -1.0], [-1.0, 2.0]], load=[1.0, -3.0], normal=[[0, -1.0]], **idle)
     problem = cq.ContactProblem(tangent=[[1.0, 0]], **facts)
@@ -107,7 +107,7 @@ def test_an_algorithm_is_no_mistake_where_nothing_rubs(idle: dict[str, Any], alg
 
 
 @pytest.mark.parametrize("idle", [{"gap": [np.inf], "friction": 0.3}, {"gap": [0.1], "friction": 0.0}])
-def test_polygons_are_no_mistake_where_nothing_rubs(idle: dict[str, Any]) -> None:
+def test_polygons_are_no_mistake_without_friction(idle: dict[str, Any]) -> None:
     problem = cq.ContactProblem(np.eye(3), load=[1.0, 0.1, -3.0], normal=[[0, 0, -1.0]], tangent=np.eye(3)[:2], **idle)
     found = cq.solve(problem, "clarabel", algorithm="tresca", facets=16, polygon="inscribed")
     np.testing.assert_allclose(found.displacement, cq.solve(problem).displacement, rtol=1e-12)
