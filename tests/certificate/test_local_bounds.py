@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate import frictional_bounds
@@ -220,3 +221,27 @@ def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
             apart = [float(np.sqrt((other - right) @ W @ (other - right))) for other in others]
             assert min(apart) > found.radius
     assert local >= problems // 50
+
+
+@pytest.mark.parametrize(("contacts", "planted"), [(60, 12), pytest.param(300, 4, marks=pytest.mark.slow)])
+def test_a_force_that_is_a_thousandth_off_is_outside_of_every_bound_of_a_millionth(contacts: int, planted: int) -> None:
+    """Of all forces one is wrong: it is refused, or what is proven of it is no less than what was planted."""
+    rng, n = np.random.default_rng(12), 2 * contacts
+    near = 0.3 * rng.random(n - 1)
+    W = sp.diags([near, np.full(n, 2.0), near], [-1, 0, 1]).tocsr()
+    problem = cq.LocalProblem(W, rng.normal(size=n) - np.tile([1.0, 0.0], contacts), 0.4, 2)
+    force = cq.solve(problem).force
+    right = cq.certify_local(problem, force)
+    assert right.proven
+    assert right.force_error < 1e-12
+    bounded = 0
+    for i, j in zip(rng.choice(np.flatnonzero(force[:, 0] > 0.1), planted), np.tile([0, 1], planted // 2), strict=True):
+        wrong = force.copy()
+        wrong[i, j] += 1e-3 * force[i, 0]
+        assert not cq.certify_local(problem, wrong).passed
+        loose = cq.certify_local(problem, wrong, tolerance=0.1)
+        if loose.force_bound is not None:
+            bounded += 1
+            assert loose.force_bound[i] >= 1e-3 * force[i, 0] * (1 - 1e-9)
+            assert loose.force_error > 1e-6
+    assert bounded >= planted // 2
