@@ -441,6 +441,8 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     right[np.arange(first, n), np.arange(count).repeat(d - 1)] = (mu[slides, None] * direction).ravel()
     if not np.all(np.isfinite(matrix)):
         return None
+    if not count:  # the friction bounds of contacts that stick move nothing
+        return 0.0
     try:
         change = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:
@@ -448,7 +450,7 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     pressed = change[np.searchsorted(state.closed, state.slides)]
     if not np.all(np.isfinite(pressed)):
         return None  # forces and slips so far apart that their ratio leaves the floats
-    return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0)) if len(pressed) else 0.0
+    return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0))
 
 
 def _unit(rows: Array) -> Array:

@@ -349,12 +349,13 @@ def refined_by(
     exact = exact or extended_rows(problem)
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
         left = None  # of small problems they are formed as fast as changed
+    # Displacement, tie forces, normal forces and friction of sticking contacts, one after the other: they end there.
     first = np.concatenate([start.displacement, start.tie_force, pushing, sticking])
-    n, k, m = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
+    n, tied, pushed = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
     # Corrections of normal and friction forces are measured together in energy scale: apart, one of friction forces
     # that are zero would be infinite.
-    unit, parts = np.ones(len(first)), sorted({0, n, k} - {len(first)})
-    unit[k:m], unit[m:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
+    unit, parts = np.ones(len(first)), sorted({0, n, tied} - {len(first)})
+    unit[tied:pushed], unit[pushed:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
     x, elastic, size, last = extend(first), None, np.inf, np.inf
     slip = (exact.slip(x[:n]) - origin).double() if in_space else origin
     directions, turning = slip_directions(rows, status, slip, pushing)
@@ -381,11 +382,11 @@ def refined_by(
         x = x + change
         whole = x.double()
         moved, most = np.maximum.reduceat(abs(unit * change), parts), np.maximum.reduceat(abs(unit * whole), parts)
-        size = float(np.divide(moved, most, out=np.zeros_like(most), where=most > 0).max())
+        size = float(np.divide(moved, most, out=np.zeros(len(most)), where=most > 0).max())
         unseen = UNSEEN if turning is not None and turning.any() else 0.0
         if in_space:
             slip = (exact.slip(x[:n]) - origin).double()
-            directions, turning = slip_directions(rows, status, slip, whole[k:m])
+            directions, turning = slip_directions(rows, status, slip, whole[tied:pushed])
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):

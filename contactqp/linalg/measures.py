@@ -324,7 +324,7 @@ def beside_yielding(length: Vector, moved: Vector, may_yield: Mask, compliance: 
 
 def in_energy(length: Vector, compliance: Vector) -> Vector:
     """Return lengths of rows over |E_i D| (r,) [square root of energy]; rows that touch nothing stiff give zero."""
-    return np.divide(length, np.sqrt(compliance), out=np.zeros_like(length), where=compliance > 0)
+    return np.divide(length, np.sqrt(compliance), out=np.zeros(length.shape), where=compliance > 0)
 
 
 def scale_through_rows(problem: ContactProblem) -> Vector:
@@ -451,7 +451,7 @@ def lengths(vectors: Array) -> Vector:
 def directions(vectors: Array) -> Array:
     """Return v/|v| of every row, and zero where v is zero."""
     size = lengths(vectors)[:, None]
-    return np.asarray(np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0))
+    return np.asarray(np.divide(vectors, size, out=np.zeros(vectors.shape), where=size > 0))
 
 
 def ratio(size: Vector, scale: Vector) -> Vector:
@@ -461,7 +461,7 @@ def ratio(size: Vector, scale: Vector) -> Vector:
 
 def reciprocal(size: Array) -> Array:
     """Return 1/size entry by entry, and 0 where the size is not positive."""
-    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    return np.divide(1.0, size, out=np.zeros(size.shape), where=size > 0)
 
 
 def beyond(size: Vector, none: Vector) -> Vector:
