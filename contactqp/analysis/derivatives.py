@@ -22,7 +22,7 @@ from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
@@ -192,12 +192,20 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.sharings_are_few)
     if linearised.redundant and (of in FORCES or limited):
         return REDUNDANT
-    problem, motions = linearised.problem, [motion.direction for motion in linearised.solution.free_motions]
+    problem = linearised.problem
+    if parameter == "tie_value" and along is None and (idle := _idle_ties(problem)).any():
+        return f"{problem.tie_name(int(np.argmax(idle)))} acts on nothing that moves, and no displacement has its value"
+    motions = [motion.direction for motion in linearised.solution.free_motions]
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
     rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
     seen = any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
     return FREE if driven or seen or (motions and of in ("displacement", "slip")) else None
+
+
+def _idle_ties(problem: ContactProblem) -> Mask:
+    """Return which ties (k,) are rows of zeros, whose force is none whatever the parameters."""
+    return np.asarray(abs(problem.tie).sum(axis=1) == 0).ravel()
 
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
@@ -332,7 +340,10 @@ def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -
         return on_pattern(problem, half, u) if parameter == "stiffness" else at_rows
     if len(linearised.undecided):
         raise InvalidProblem(f"pullback: {linearised.at_border()}, and the derivative may have two sides")
-    y = linearised.adjoint(_weights(linearised, of, weights))
+    try:
+        y = linearised.adjoint(_weights(linearised, of, weights))
+    except NoRates as none:
+        raise InvalidProblem(f"the gradient of {of} by {parameter} does not exist: {none}") from None
     if parameter == "stiffness":
         own = 0.5 * float(weights) * u if of == "energy" else -weights if of == "reaction" else 0.0 * u
         return on_pattern(problem, own - y.displacement, u)
@@ -364,7 +375,7 @@ def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
     elif of == "normal_force":
         normal = weights
     elif of == "tie_force":
-        tie = weights
+        tie = np.where(_idle_ties(problem), 0.0, weights)
     elif linearised.system is not None and problem.tangent is not None and problem.friction is not None:
         system = linearised.system
         tangent = weights

@@ -243,8 +243,9 @@ class RateSystem:
         found = Parts(u, normal, tangent.reshape(right.tangent.shape), tie)
         contraction = max(contraction, EPS)
         settled = contraction < 0.5
-        remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) + INVISIBLE * whole_size
-        remainder = remainder if settled else np.inf
+        remainder = np.inf
+        if settled:
+            remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) + INVISIBLE * whole_size
         done = settled or size <= ENOUGH * whole_size
         return Solved(found, self._bound(found, remainder), done, tuple(y), remainder)
 

@@ -411,3 +411,28 @@ def test_what_grazes_to_an_allowance_has_no_bound(exactly: bool) -> None:
     assert not found.exists
     assert true.exists != exactly
     assert (found.bound is None) != exactly
+
+
+def test_a_tie_of_zeros_has_no_force_whose_gradient_could_not_exist() -> None:
+    """Its force is none whatever the parameters; what other values of it would make no displacement does."""
+    problem = cq.ContactProblem(
+        [[3.0, 1.0], [1.0, 2.0]], [1.0, 5.0], [[0.0, 1.0]], [0.5], tie=[[0.0, 0.0], [1.0, -1.0]], tie_value=[0.0, 0.0]
+    )
+    solution = cq.solve(problem)
+    assert solution.jacobian("tie_force", "load") == pytest.approx(np.array([[0.0, 0.0], [1.0, 0.0]]))
+    assert solution.pullback("tie_force", [3.0, 2.0], "gap") == pytest.approx([-8.0])
+    for ask in (solution.jacobian, lambda of, by: solution.pullback(of, [1.0, 1.0], by)):
+        with pytest.raises(cq.InvalidProblem, match="tie 0 acts on nothing that moves"):
+            ask("displacement", "tie_value")
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-300, 1e300])
+def test_directions_of_any_size_have_rates_or_a_reason(size: float) -> None:
+    """Refinement of a subnormal direction contracts by nothing: its remainder was divided by zero."""
+    bar = cq.ContactProblem(
+        [[22.0, 2.0, 0.0], [2.0, 9.0, 0.0], [0.0, 0.0, 9.0]], [1.0, 1.0, 4.0], [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]],
+        [0.0, 0.4], tie=[[0.0, 1.0, -1.0]], tie_value=[0.0], tangent=[[-1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], friction=0.4,
+    )  # fmt: skip
+    for of in ("displacement", "normal_force", "tie_force"):
+        found = cq.solve(bar).derivative(of, "tie_value", [size])
+        assert found.value is not None or found.reason
