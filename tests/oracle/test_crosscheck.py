@@ -327,3 +327,17 @@ def test_pairs_of_two_types_are_refused_before_calculix_ends_at_them(tmp_path: p
     deck = write(tmp_path, STACK.replace("*BOUNDARY\nBOTTOM", other, 1))
     with pytest.raises(cq.InvalidProblem, match=r"line 47: \*CONTACT PAIR: CalculiX runs contact pairs of one TYPE"):
         cq.crosscheck(deck)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e15, 1e40, 1e59])
+def test_one_displacement_far_away_is_wrong(tmp_path: pathlib.Path, size: float) -> None:
+    def change(u: np.ndarray) -> np.ndarray:
+        return np.where(np.arange(len(u)) == int(np.argmax(abs(u))), size, u)
+
+    assert judged(tmp_path, change=change).word == "wrong"
+
+
+def test_displacements_that_diverged_are_refused(tmp_path: pathlib.Path) -> None:
+    """At 1e308 the forces overflow, and a pair without a number for its force was called right."""
+    with pytest.raises(cq.InvalidProblem, match=r"is displaced by 1e\+308: the other code diverged"):
+        judged(tmp_path, change=lambda u: np.where(np.arange(len(u)) == len(u) - 1, 1e308, u))

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from contactqp.certificate.number_range import ABSURD
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck.reading import read_deck_model
@@ -154,6 +155,9 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
     if not np.isfinite(u).all():
         name = topology.name(int(np.argmin(np.isfinite(u))))
         raise InvalidProblem(f"{file}: expected finite displacements, got another one at {name}")
+    if (abs(u) > ABSURD * float(np.ptp(deck.assembly.points, axis=0).max())).any():
+        worst = int(np.argmax(abs(u)))
+        raise InvalidProblem(f"{file}: {topology.name(worst)} is displaced by {u[worst]:.6g}: the other code diverged")
     digits = FRD_DIGITS if str(file).lower().endswith(".frd") else DAT_DIGITS
     deck.ledger.read.extend(ledger.read)
     with np.errstate(divide="ignore"):
