@@ -107,7 +107,7 @@ FLOATS = "a body is held by contacts alone"
 # A contact whose distance from another state is this part of the largest is at a border, or one so many times nearer
 # than the answer that is judged.
 AT_BORDER, FAR_ENOUGH = 1e-9, 4.0
-DEPENDENT = "contact rows depend on one another, or nearly: compliance has no inverse"
+ROWS_DEPEND = "contact rows depend on one another, or nearly: compliance has no inverse"
 NO_MARGIN = "a contact is within rounding of another state"
 
 
@@ -132,7 +132,7 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
         return reason
     compliance = contact_compliance(problem, condensation)
     if compared.refined.redundant:
-        return DEPENDENT
+        return ROWS_DEPEND
     refined = refined_lengths(problem, condensation, compared, compliance)
     if refined is None:
         return "its refined answer leaves ties unmet"
@@ -165,7 +165,7 @@ def _proven_nearby(
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
     norms = ForceNorms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
     if norms is None:
-        return DEPENDENT
+        return ROWS_DEPEND
     others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
     uncertain, apart = refined.correction, 0.0
     if compliance.floats:
@@ -440,7 +440,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
             return f"{others}, and delassus is not symmetric, by {problem.scaled_asymmetry:.2g}"
         norms = norms if skew else ForceNorms.of(compliance, 0.0, acting_rows(compliance, status, mu))
         if norms is None:
-            return DEPENDENT
+            return ROWS_DEPEND
         slips = SlipsNearby.none(mu) if skew else slips_nearby(compliance, status, mu)
         left, margin = 2 * last + refined.correction, _margin(refined, norms, status, mu) - refined.correction
         near = _nearest(slips, refined, norms, left, margin)

@@ -376,7 +376,7 @@ def unresisted(motions: Array, bodies: Indices, rows: Array) -> Array:
 
 
 # Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
-DEPENDENT = 1e-13
+DEPENDENT_IN_ENERGY = 1e-13
 
 
 class NullSpace:
@@ -447,7 +447,7 @@ class NullSpace:
 
         share = solve_triangular(self._R, self._Y.T @ self._rows[entering])
         contacts = self.independent < len(self.closed)
-        gives = np.flatnonzero(contacts & (share > DEPENDENT * len(self._rows)))
+        gives = np.flatnonzero(contacts & (share > DEPENDENT_IN_ENERGY * len(self._rows)))
         if not gives.size:
             return None
         positions = self.independent[gives]
@@ -486,5 +486,5 @@ def independent_rows(rows: Array) -> Indices:
         return np.zeros(0, dtype=np.intp)
     columns, geqp3 = np.asarray_chkfinite(rows).T, lapack().dgeqp3
     R, pivots, *_ = geqp3(columns, lwork=int(geqp3(columns, lwork=-1)[3][0]))
-    rank = int(np.sum(abs(R.diagonal()) > DEPENDENT * max(rows.shape)))
+    rank = int(np.sum(abs(R.diagonal()) > DEPENDENT_IN_ENERGY * max(rows.shape)))
     return np.sort(pivots[:rank] - 1).astype(np.intp)

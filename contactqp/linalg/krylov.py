@@ -146,7 +146,7 @@ class ConjugateGradients:
 
 
 # A row of which its neighbours leave less than this, squared, depends on them; rounding leaves about 1e-16 of it.
-DEPENDENT = 1e-10
+DEPENDENT_SQUARED = 1e-10
 # Exactly dependent rows would leave a zero pivot, which SuperLU refuses: they leave one of these.
 LIFTS = (2.0**-52, 2.0**-46, 2.0**-40)
 
@@ -189,7 +189,7 @@ class IndependentRows:
             except RuntimeError:  # rounding has taken the lift away
                 if lift == LIFTS[-1]:
                     raise
-        return np.asarray(self._factor.U.diagonal()[self._factor.perm_c] > DEPENDENT)
+        return np.asarray(self._factor.U.diagonal()[self._factor.perm_c] > DEPENDENT_SQUARED)
 
     def solve(self, lengths: Vector) -> Vector:
         """Return the forces (a,) that cause the lengths (a,), zero on rows that depend on others."""

@@ -37,7 +37,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
 
 # Ties whose compliance on each other, scaled to a diagonal of one, has a pivot below this are dependent.
-DEPENDENT = 1e-10
+DEPENDENT_TIES = 1e-10
 # An unknown whose own force S_jj x_j is this part of those that meet there is at rest: forces with friction are known
 # to some thousand roundings, and what is tolerated of residuals is a thousand times as much.
 AT_REST = 1e-12
@@ -139,7 +139,7 @@ class StepContact:
             return
         self._of_ties = self._respond(self._A.T)
         self._tied = DenseCholesky(self._A @ self._of_ties)
-        if self._tied.smallest_pivot < DEPENDENT:
+        if self._tied.smallest_pivot < DEPENDENT_TIES:
             raise InvalidProblem("tie: expected independent rows, got rows that say the same or contradict each other")
 
     @cached_property

@@ -43,7 +43,7 @@ from contactqp.model.solution import Answer
 # Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
 
 # Rows of unit length that are closer to dependent than this are dependent.
-DEPENDENT = 1e-12
+DEPENDENT_UNIT_ROWS = 1e-12
 # Groups of more rows than this are solved for iteratively.
 DENSE_ROWS = 1500
 # Forces without tension may explain this much less of the residual than any forces would.
@@ -99,7 +99,7 @@ def balancing_forces(
 def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vector, bool]:
     if len(B) == 1:
         return B @ r, False
-    force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT)
+    force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT_UNIT_ROWS)
     if rank == len(B):
         return np.asarray(force), False
     size = float(np.linalg.norm(r))
@@ -125,7 +125,7 @@ def _of_least_work(B: Array, force: Vector, pushing_only: Mask, cost: Vector) ->
     from scipy.linalg import null_space
     from scipy.optimize import linprog
 
-    free = null_space(B.T, rcond=DEPENDENT)
+    free = null_space(B.T, rcond=DEPENDENT_UNIT_ROWS)
     largest = np.max(abs(force))
     found = linprog(
         (cost / np.max(abs(cost))) @ free,
@@ -442,12 +442,12 @@ def _shift_within_law(
     held = [normal[pushing], tangent[sticking].reshape(-1, basis.shape[1])]
     held.append(np.einsum("id,idq->iq", across, tangent[slipping]))
     missed = np.concatenate([gap[pushing], -slip[sticking].ravel(), -np.sum(across * slip[slipping], axis=1)])
-    start, _, rank, _ = np.linalg.lstsq(np.vstack(held), missed, rcond=DEPENDENT)
+    start, _, rank, _ = np.linalg.lstsq(np.vstack(held), missed, rcond=DEPENDENT_UNIT_ROWS)
     left = np.linalg.svd(np.vstack(held))[2][rank:].T
     apart = np.flatnonzero(np.isfinite(gap) & ~np.isin(np.arange(len(gap)), pushing))
     bounded: Array = np.vstack([normal[apart], -np.einsum("id,idq->iq", along, tangent[slipping])])
     room = np.concatenate([gap[apart], np.sum(along * slip[slipping], axis=1)]) - bounded @ start
-    felt = np.linalg.norm(bounded @ left, axis=1) > DEPENDENT * np.linalg.norm(bounded, axis=1)
+    felt = np.linalg.norm(bounded @ left, axis=1) > DEPENDENT_UNIT_ROWS * np.linalg.norm(bounded, axis=1)
     if felt.any():
         start = start + left @ shift_within_gaps(bounded[felt] @ left, room[felt], np.zeros(left.shape[1]))
     return np.asarray(basis @ start)
