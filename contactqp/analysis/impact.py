@@ -30,7 +30,7 @@ from contactqp.solving.methods import meant_option, registered_name, takes
 # What `impact` takes beside the options of a method.
 OWN_ARGUMENTS = ("duration", "time_step", "scheme", "load", "theta", "restitution", "penalty", "start_time")
 # A start may overlap or miss a tie by this part of the lengths that meet there.
-ROUNDING = 1e-9
+ROUNDING_OF_STARTS = 1e-9
 
 
 @checked
@@ -223,12 +223,12 @@ def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
     """Raise InvalidProblem for a start outside of the constraints, from which there is no motion."""
     room = problem.gap - problem.normal @ u
     size = abs(problem.normal) @ abs(u) + abs(problem.gap)
-    if np.any(room < -ROUNDING * size):
+    if np.any(room < -ROUNDING_OF_STARTS * size):
         i = int(np.argmin(np.where(size > 0, room / np.where(size > 0, size, 1.0), 0.0)))
         raise InvalidProblem(f"displacement: {problem.contact_name(i)} overlaps by {-room[i]:.6g} at the start")
     for name, value, limit in (("displacement", u, problem.tie_value), ("velocity", v, np.zeros(problem.ties))):
         missed = abs(problem.tie @ value - limit)
-        if np.any(missed > ROUNDING * (abs(problem.tie) @ abs(value) + abs(limit))):
+        if np.any(missed > ROUNDING_OF_STARTS * (abs(problem.tie) @ abs(value) + abs(limit))):
             raise InvalidProblem(f"{name}: tie {int(np.argmax(missed))} is missed by {np.max(missed):.6g} at the start")
 
 

@@ -73,7 +73,7 @@ REDUNDANT = "contacts that touch are redundant, and share their forces in many w
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
 # Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
-ROUNDING = 64 * EPS
+RATE_EPS = 64 * EPS
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
@@ -470,7 +470,7 @@ class Linearised:
         nothing = np.array(SAME * whole)
         if found.bound is not None:
             rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
-            nothing = self.borders.signs(found, direction, system, errors=True) + (ROUNDING * whole if rounded else 0.0)
+            nothing = self.borders.signs(found, direction, system, errors=True) + (RATE_EPS * whole if rounded else 0.0)
         return bool(np.all(self.borders.signs(found, direction, system) >= -nothing))
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:

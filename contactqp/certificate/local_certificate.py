@@ -47,7 +47,7 @@ from contactqp.model.problem_data import is_number, read_array
 from contactqp.model.solution import LocalCertificate
 
 # Operators further from symmetric than this, the tolerance of the verdict, are said to be.
-ROUNDING = 1e-9
+ASYMMETRIC_BY_ROUNDING = 1e-9
 
 _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
 
@@ -57,7 +57,7 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
     if not problem.contacts or not np.any(problem.friction > 0):
         return Uniqueness()
     notes = []
-    if problem.scaled_asymmetry > ROUNDING:
+    if problem.scaled_asymmetry > ASYMMETRIC_BY_ROUNDING:
         notes.append(
             f"delassus is not symmetric by {problem.scaled_asymmetry:.2g} of its largest entry; the forces are judged "
             "by it as given, what a minimisation makes of it is that far off"
@@ -79,7 +79,7 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
 def _critical_friction(problem: LocalProblem) -> CriticalFriction:
     if problem not in _critical:
         W = problem.scaled_delassus.toarray()
-        symmetric = problem.scaled_asymmetry <= ROUNDING
+        symmetric = problem.scaled_asymmetry <= ASYMMETRIC_BY_ROUNDING
         _critical[problem] = of_operator(
             W, problem.friction, problem.contacts, floats=problem.joints > 0, symmetric=symmetric
         )

@@ -22,9 +22,9 @@ worse than along all that the run has met.
 
 |l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
 
-Rounding: r is formed in double precision, each entry with an error of at most ROUNDING F_j (F of `violations`); the
-bound is raised in the ratio of the D-norms of r and of that. Gaps that were closed are zero to the rounding of their
-lengths L_i; ROUNDING L_i / sqrt(E_i D^-1 E_i') is added for each of them.
+Rounding: r is formed in double precision, each entry with an error of at most ROUNDING_OF_PRODUCTS F_j (F of
+`violations`); the bound is raised in the ratio of the D-norms of r and of that. Gaps that were closed are zero to the
+rounding of their lengths L_i; ROUNDING_OF_PRODUCTS L_i / sqrt(E_i D^-1 E_i') is added for each of them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ EXHAUSTED = float(np.finfo(float).eps) ** 2
 ITERATED_NOTHING = 1e-10
 # Steps of the longest run that Ritz values are believed of.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
-ROUNDING = 16 * np.finfo(float).eps
+# Rounding of a residual or a gap that is formed in double precision, relative to the forces or lengths that meet.
+ROUNDING_OF_PRODUCTS = 16 * np.finfo(float).eps
 # Corrections of the set that the candidate is moved onto.
 REPAIRS = 8
 # A penetration of this part of its lengths is the rounding of a closed contact.
@@ -205,7 +206,7 @@ def _noise(problem: Limits, v: Vector, forces: Vector, r: Vector, iteration: Con
     scale = 1 / np.sqrt(iteration.diagonal)
     size = iteration.norm(scale * r)
     meeting = iteration.product_sizes(v) + abs(problem.load) + abs(forces)
-    return ROUNDING * iteration.norm(scale * meeting) / size if size > 0 else 0.0
+    return ROUNDING_OF_PRODUCTS * iteration.norm(scale * meeting) / size if size > 0 else 0.0
 
 
 def force_norm(push: Vector, contacts: int, iteration: ContactIteration) -> float:
@@ -242,7 +243,7 @@ def _repaired(
     if iteration.any(abs(left[closed]) > CLOSED * lengths[closed]):
         raise Unrepaired("contacts that depend on each other cannot be closed together")
     open_gap = np.where(closed, 0.0, np.maximum(left, 0.0))
-    rounding = ROUNDING * iteration.norm(lengths[closed] / np.sqrt(iteration.own_compliance[closed]))
+    rounding = ROUNDING_OF_PRODUCTS * iteration.norm(lengths[closed] / np.sqrt(iteration.own_compliance[closed]))
     return v - u, open_gap, float(rounding)
 
 

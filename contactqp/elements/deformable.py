@@ -247,7 +247,7 @@ class SupportedContact:
 
 
 # Of a coordinate: a few operations lie between it and a gap.
-ROUNDING = 16 * np.finfo(float).eps
+ROUNDING_OF_COORDINATES = 16 * np.finfo(float).eps
 
 
 @checks
@@ -319,7 +319,7 @@ class ObstacleContact(ReadOnly):
         x = self.positions(displacement)
         found = paired(x, self.obstacle, self.unknowns, self.dimension)
         size = np.max(abs(x), axis=1, initial=0.0) + abs(found.gap) + float(getattr(self.obstacle, "radius", 0.0))
-        return LinearisedContacts(found.gap, found.normal, found.tangent, ROUNDING * size)
+        return LinearisedContacts(found.gap, found.normal, found.tangent, ROUNDING_OF_COORDINATES * size)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
         """Return minus the sum of l_N d2 gap / d u2, (n, n) CSC [force / length]."""

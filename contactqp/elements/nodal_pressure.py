@@ -248,7 +248,7 @@ ON_AXIS = 1e-9
 # would show as a pull or as no pressure where a contact presses.
 LARGEST_CHANGE = 0.5
 # Offsets of less than this part of the distances between the middles are rounding, as are the squares of spreads.
-ROUNDING = 1e-12
+ROUNDING_OF_OFFSETS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,8 +386,8 @@ def _change(surface: Surface, facets: Index, collected: Any, moments: Vector, *,
     c = along(place - centre[i], normals[i])
     H = over((c[:, :, np.newaxis] * c[:, np.newaxis, :]).reshape(-1, d * d)).reshape(-1, d, d)
     r = along(np.where(on_axis, collected @ squared, collected @ middle) - x, normals)
-    r[np.linalg.norm(r, axis=1) <= ROUNDING * np.sqrt(np.trace(H, axis1=1, axis2=2))] = 0.0
-    slope = np.einsum("iab,ib->ia", np.linalg.pinv(H, rcond=ROUNDING, hermitian=True), r)
+    r[np.linalg.norm(r, axis=1) <= ROUNDING_OF_OFFSETS * np.sqrt(np.trace(H, axis1=1, axis2=2))] = 0.0
+    slope = np.einsum("iab,ib->ia", np.linalg.pinv(H, rcond=ROUNDING_OF_OFFSETS, hermitian=True), r)
     changed = np.any(r != 0, axis=1)[i]
     return _sparse(i[changed], j[changed], -(c * slope[i]).sum(axis=1)[changed], size)
 

@@ -27,7 +27,7 @@ from contactqp.model.problem_data import read_coefficient
 
 Part = Body | Membrane
 # Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
-ROUNDING = 1e-12
+SAME_DISPLACEMENT = 1e-12
 EVERYTHING_HELD = "structure: the supports hold every unknown; expected some that are free"
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
@@ -209,7 +209,7 @@ class Structure:
             places = self.first(body.name) + d * nodes + axis
             before = prescribed[places]
             size = np.max(abs(values), initial=np.nanmax(abs(before), initial=0.0))  # a sine may end at 1e-16
-            other = np.flatnonzero(abs(before - values) > ROUNDING * size)
+            other = np.flatnonzero(abs(before - values) > SAME_DISPLACEMENT * size)
             if other.size:
                 i = other[0]
                 node, along = body.mesh.number(nodes[i]), body.axes[axis]
@@ -357,7 +357,7 @@ class Assembly:
         free, whole = self.system.free, self.system.load.copy()
         own, stated = whole[free], load + (self.system.structure.stiffness @ self.system.given)[free]
         factor = float(stated @ own) / float(own @ own) if own.any() else 1.0
-        if abs(stated - factor * own).max(initial=0.0) <= ROUNDING * abs(stated).max(initial=0.0):
+        if abs(stated - factor * own).max(initial=0.0) <= SAME_DISPLACEMENT * abs(stated).max(initial=0.0):
             return replace(self.system, load=factor * whole)
         whole[free] = stated
         return replace(self.system, load=whole)

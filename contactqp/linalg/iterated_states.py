@@ -234,7 +234,7 @@ STEPS, ROUNDS = 600, 4
 # A round reduces the residual to AIM of what is asked, within these parts.
 AIM, TIGHTEST, LOOSEST = 0.1, 1e-7, 0.3
 # The part of the tolerance that equilibrium may reach; and that of the forces that meet which is rounding.
-EQUILIBRIUM, ROUNDING = 0.3, 4 * np.finfo(float).eps
+EQUILIBRIUM, BALANCED = 0.3, 4 * np.finfo(float).eps
 
 
 class CombinationSystem:
@@ -310,7 +310,7 @@ class CombinationSystem:
         last = self._iteration.krylov_iterations + most
         for _ in range(ROUNDS):
             unbalanced = self.unbalanced(x)
-            if self._small(x, unbalanced, ROUNDING):
+            if self._small(x, unbalanced, BALANCED):
                 break
             along = self._along(unbalanced)
             error = self.error(unbalanced, along)
@@ -361,7 +361,7 @@ class CombinationSystem:
     def improved(self, x: Vector, reduction: float, most: int = STEPS) -> Vector:
         """Return x after GMRES has reduced what is unbalanced at it to this part, or as far as it comes."""
         unbalanced = self.unbalanced(x)
-        return x if self._small(x, unbalanced, ROUNDING) else self._improved(x, unbalanced, None, reduction, most)
+        return x if self._small(x, unbalanced, BALANCED) else self._improved(x, unbalanced, None, reduction, most)
 
     def _improved(self, x: Vector, unbalanced: Vector, along: Vector | None, reduction: float, most: int) -> Vector:
         scale, iteration, steps = self._scale, self._iteration, 0

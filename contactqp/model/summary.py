@@ -26,7 +26,7 @@ MOST_INSTANTS = 12
 FEW_EVENTS, MOST_EVENTS = 8, 16
 # Gaps and slips below this part of the lengths that meet, and forces below it of those that meet, are the rounding of
 # zero.
-ROUNDING = 1e-14
+ROUNDING_OF_ZERO = 1e-14
 # Forces below this part of the largest of a history are the rounding of zero.
 ROUNDING_OF_FORCES = 1e-12
 # Characters of a line of text, and a space at which no line ends.
@@ -242,7 +242,7 @@ def _meeting_on(rows: Any, forces: Vector) -> Vector:
 
 
 def _nothing_below(sizes: Array, values: Array) -> Array:
-    return np.asarray(np.where(abs(values) <= ROUNDING * sizes, 0.0, values))
+    return np.asarray(np.where(abs(values) <= ROUNDING_OF_ZERO * sizes, 0.0, values))
 
 
 def largest(*sizes: Vector) -> Sequence[int]:
@@ -399,7 +399,7 @@ def local_summary(solution: Any) -> str:
     axes = ("N", "T") if d == 2 else ("N", "T1", "T2")
     columns = ("", "status", *(f"r_{axis}" for axis in axes), *(f"u_{axis}" for axis in axes))
     meeting = abs(solution.problem.delassus) @ abs(solution.force.ravel()) + abs(solution.problem.offset)
-    velocity = np.where(abs(solution.velocity.ravel()) <= ROUNDING * meeting, 0.0, solution.velocity.ravel())
+    velocity = np.where(abs(solution.velocity.ravel()) <= ROUNDING_OF_ZERO * meeting, 0.0, solution.velocity.ravel())
     values = np.hstack([solution.force, velocity.reshape(m, d)])
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
     title = _title_of_contacts(solution.contact_status, True, len(shown))

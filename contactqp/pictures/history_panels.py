@@ -17,7 +17,7 @@ from contactqp.model.solution import Solution
 from contactqp.pictures import style
 
 # Relative difference up to which loads count as proportional to the times, or to one of them.
-ROUNDING = 1e-9
+PROPORTIONAL = 1e-9
 ENERGIES = ("kinetic", "elastic", "total", "work", "dissipated", "impact", "drift")
 OF_PATHS = ("elastic", "work", "dissipated")
 # Energies below this part of the largest are rounding errors, and are not drawn.
@@ -64,7 +64,7 @@ class HistoryFields:
             return False
         whole = self.times @ self.load / (self.times @ self.times)
         off = np.max(abs(self.load - np.outer(self.times, whole)))
-        return bool(off <= ROUNDING * np.max(abs(self.load)))
+        return bool(off <= PROPORTIONAL * np.max(abs(self.load)))
 
     def instants(self, events: tuple[Event, ...]) -> Index:
         """Return the instant of each event: the nearest in time, or the next such one where times repeat."""
@@ -341,7 +341,7 @@ def load_panel(fields: HistoryFields) -> Panel | None:
 
 def _first_growth(fields: HistoryFields, part: Part) -> float:
     """Return the last pseudo-time at which a part of the loads is still zero, before it first grows."""
-    acts = np.flatnonzero(abs(part.amount) > ROUNDING * np.max(abs(part.amount)))
+    acts = np.flatnonzero(abs(part.amount) > PROPORTIONAL * np.max(abs(part.amount)))
     return float(fields.times[max(int(acts[0]) - 1, 0)]) if len(acts) else 0.0
 
 
@@ -359,7 +359,7 @@ def load_factor(fields: HistoryFields) -> Vector | None:
     largest = fields.load[int(np.argmax(np.max(abs(fields.load), axis=1)))]
     factor = np.asarray(fields.load @ largest / (largest @ largest))
     off = np.max(abs(fields.load - np.outer(factor, largest)))
-    return factor if off <= ROUNDING * np.max(abs(largest)) else None
+    return factor if off <= PROPORTIONAL * np.max(abs(largest)) else None
 
 
 def load_parts(load: Array) -> tuple[Part, ...]:
@@ -372,7 +372,7 @@ def load_parts(load: Array) -> tuple[Part, ...]:
     """
     growth, patterns = np.diff(load, axis=0, prepend=0.0), np.zeros((0, load.shape[1]))
     rest, largest = growth, float(np.max(abs(load)))
-    while np.any(new := np.max(abs(rest), axis=1) > ROUNDING * largest):
+    while np.any(new := np.max(abs(rest), axis=1) > PROPORTIONAL * largest):
         if len(patterns) == MOST_LOADS:
             return ()
         patterns = np.vstack([patterns, growth[int(np.argmax(new))]])

@@ -16,7 +16,7 @@ from contactqp.scene.answers import OF_BOTH, Instant
 from contactqp.scene.body_model import BodyModel, PairedContact
 from contactqp.scene.claims import COMPONENTS, Claim
 from contactqp.scene.schema import SceneData
-from contactqp.scene.tables import ROUNDING
+from contactqp.scene.tables import DRAWN_AS_ZERO
 from contactqp.scene.units import KINDS, vector
 
 # Directions of motions have 1 as their largest component and are accurate to rounding.
@@ -246,13 +246,13 @@ def _contacts(model: BodyModel, solution: Any) -> list[dict[str, str | float]]:
                 "pressing": int(model.closed(contact.name, solution).sum()),
                 "normal_force": float(model.normal_forces(contact.name, solution).sum()),
                 "peak_pressure": float(np.nan_to_num(model.pressures(contact.name, solution)).max()),
-                "smallest_gap": smallest if abs(smallest) > ROUNDING * moved else 0.0,
+                "smallest_gap": smallest if abs(smallest) > DRAWN_AS_ZERO * moved else 0.0,
             }
         )
         if model.problem.frictional:
             vectors = model.friction_vectors(contact.name, solution)
             total, size = vectors.sum(axis=0), float(np.linalg.norm(vectors, axis=1).sum())
-            total[abs(total) <= ROUNDING * max(size, float(rows[-1]["normal_force"]))] = 0.0
+            total[abs(total) <= DRAWN_AS_ZERO * max(size, float(rows[-1]["normal_force"]))] = 0.0
             rows[-1]["sticking"] = int(model.stuck(contact.name, solution).sum())
             rows[-1] |= {f"friction_{axis}": float(f) for axis, f in zip(model.scene.axes, total, strict=True)}
     return rows

@@ -26,7 +26,7 @@ from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
 from contactqp.scene.judging import Comparison, Failure, Judgement
 from contactqp.scene.schema import is_rotation
-from contactqp.scene.tables import MOST_ROWS, ROUNDING, Drawn, bars, print_table, print_wrapped, shown, written
+from contactqp.scene.tables import DRAWN_AS_ZERO, MOST_ROWS, Drawn, bars, print_table, print_wrapped, shown, written
 
 # What a table calls them where that is not the key of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
@@ -138,7 +138,7 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         if solution.problem.frictional:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
             vectors = friction_along_axes(judgement.model, replace(solution, friction_force=clean.friction_force))
-            vectors = np.where(abs(vectors) > ROUNDING * np.linalg.norm(vectors, axis=1)[:, None], vectors, 0.0)
+            vectors = np.where(abs(vectors) > DRAWN_AS_ZERO * np.linalg.norm(vectors, axis=1)[:, None], vectors, 0.0)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, clean_gaps(solution))]
         _print_largest(console, header, rows, solution.normal_force, pictures, most)

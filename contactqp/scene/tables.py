@@ -26,7 +26,7 @@ WIDTHS = (24, 16, 10, 6)
 # Wider than any table: what it would like to have is then measured.
 ENDLESS = 10_000
 # Of the largest value; what is smaller is drawn as zero.
-ROUNDING = 1e-12
+DRAWN_AS_ZERO = 1e-12
 # A number in a cell, with its unit where it has one; one of so many letters need not be shortened.
 NUMBER = re.compile(r"([-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?)( rad(?:/s)?)?")
 SHORT = 8
@@ -67,7 +67,7 @@ def bars(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> list[str]:
 def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Letters) -> str:
     if not math.isfinite(value):
         return ""
-    if abs(value) <= ROUNDING * largest:
+    if abs(value) <= DRAWN_AS_ZERO * largest:
         return f"{'':{width}}{letters.axis}" if both_sides else letters.zero
     # Divided first: the width times the largest double is none.
     length = abs(value) / largest * width
@@ -105,7 +105,7 @@ def _furthest(numbers: np.ndarray, width: int) -> Sequence[float]:
 def _height(value: float, low: float, high: float, letters: Letters) -> str:
     if not math.isfinite(value):
         return "?"
-    if high <= low or abs(value) <= ROUNDING * max(high, -low):
+    if high <= low or abs(value) <= DRAWN_AS_ZERO * max(high, -low):
         return letters.zero
     steps = len(letters.heights)
     # Halved where need be: the difference of the largest doubles of both signs is none, half of the smallest is zero.

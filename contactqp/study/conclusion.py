@@ -24,14 +24,12 @@ import numpy as np
 from contactqp.errors import SceneError, counted
 from contactqp.solving.methods import Method
 from contactqp.study import rows
-from contactqp.study.rows import Row
+from contactqp.study.rows import UNIT_ROUNDOFF, Row
 from contactqp.study.running.journal import Journal
 from contactqp.study.statistics import ANSWERED, BODY, own_answers, solved
 
 # Added to multiples of a linear solve, and taken off their geometric mean again.
 MULTIPLE_SHIFT = 1.0
-# Half the distance from 1 to the next double: smaller errors are none.
-ROUNDING = 1.1e-16
 # What a line is called where several settings of a method were tried on a case, and what that costs.
 BEST_OF = (
     "best of N: up to N settings were tried on each case, and the line is that of the fastest right one, else of the "
@@ -65,7 +63,7 @@ class MethodLine:
         flags = f"{_percent(self.wrong, self.claimed)} of {self.claimed}" if self.claimed else "claims nothing"
         times = "" if self.linear_solves is None else f"{self.linear_solves:.3g}"
         times += "" if not times or self.spread is None else f" ± {100 * self.spread:.0f} %"
-        error = "" if self.force_error is None else f"{max(self.force_error, ROUNDING):.0e}"
+        error = "" if self.force_error is None else f"{max(self.force_error, UNIT_ROUNDOFF):.0e}"
         name = self.method if self.settings == 1 else f"{self.method}, best of {self.settings}"
         return name, f"{_percent(self.right, self.cases)} of {self.cases}", flags, times, error
 
@@ -202,7 +200,7 @@ def _which(lines: Sequence[MethodLine], cases: int, smallest: int, unsure: bool)
         force = (
             ""
             if default.force_error is None
-            else f", its contact forces within {max(default.force_error, ROUNDING):.0e}"
+            else f", its contact forces within {max(default.force_error, UNIT_ROUNDOFF):.0e}"
         )
         parts.append(f"{_right_share(default)}{force}{_time(default, smallest)}.")
     others = [line for line in lines if line is not default and line.exact and line.right == line.cases]

@@ -32,7 +32,7 @@ SAME = ("right", "proven")
 EXPECTED = "a receipt, as `contactqp check PROBLEM CANDIDATE --receipt FILE` writes"
 GROWTH = 10.0
 # Figures and bounds below this are rounding, however they compare.
-ROUNDING = 1e-11
+ROUNDING_OF_FIGURES = 1e-11
 
 
 def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions, verdict: Verdict) -> None:
@@ -269,4 +269,4 @@ def _grown(old: float | None, new: float | None) -> bool:
     """Return whether a figure is another one; None is one that is not finite, NaN one that is not there."""
     if old is None or new is None:
         return old is not new
-    return not new <= GROWTH * max(old, ROUNDING) or math.isnan(old)
+    return not new <= GROWTH * max(old, ROUNDING_OF_FIGURES) or math.isnan(old)

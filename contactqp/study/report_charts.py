@@ -45,11 +45,9 @@ from contactqp.study.curves import (
     vertical_line,
 )
 from contactqp.study.report_data import CaseRecord, ReportData
-from contactqp.study.rows import Row
+from contactqp.study.rows import UNIT_ROUNDOFF, Row
 from contactqp.study.truth import ABSOLUTE_ENERGY, ABSOLUTE_FORCE
 
-# Half the distance from 1 to the next double: smaller relative errors are rounding of the answer itself.
-ROUNDING = 1.1e-16
 TIME_AXIS = "run time [ms]"
 HEIGHT = 620
 
@@ -187,7 +185,7 @@ def _rounding(unit: str) -> list[dict[str, Any]]:
     """Return the band of errors of rounding to double precision, which only relative errors have."""
     if not unit.startswith("relative"):
         return []
-    band = dict(type="rect", xref="paper", yref="y", x0=0, x1=1, y0=FLOOR / 10, y1=ROUNDING, layer="below")
+    band = dict(type="rect", xref="paper", yref="y", x0=0, x1=1, y0=FLOOR / 10, y1=UNIT_ROUNDOFF, layer="below")
     return [dict(**band, fillcolor=GREY, opacity=0.15, line=dict(width=0))]
 
 

@@ -271,7 +271,7 @@ def _case(case: CaseRecord) -> dict[str, Any]:
 
 
 # Errors that differ by less than this factor, and those of rounding, are the same.
-FACTOR, ROUNDING = 10.0, 1e-12
+FACTOR, ROUNDING_OF_ERRORS = 10.0, 1e-12
 # The least spread that a time is taken to have: two runs of the same differ by as much.
 LEAST_SPREAD = 0.2
 _WORDS = ("case", "method", "variant", "condensed", "knob")
@@ -409,7 +409,7 @@ def _of_row(before: Row, now: Row) -> Iterator[tuple[str, str, str]]:
         yield "verdict", before.verdict, now.verdict
     if before.error_judged is not None and now.error_judged is not None:
         errors = before.error_judged, now.error_judged
-        smaller, larger = (max(error, ROUNDING) for error in sorted(errors))
+        smaller, larger = (max(error, ROUNDING_OF_ERRORS) for error in sorted(errors))
         if larger > FACTOR * smaller:
             yield "error", f"{errors[0]:.1e}", f"{errors[1]:.1e}"
     yield from _times(before, now)

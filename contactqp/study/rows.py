@@ -25,6 +25,8 @@ MISSING = "missing"
 UNSUPPORTED = "unsupported"
 WRONG = "wrong but passed"
 
+# Half the distance from 1 to the next double: smaller relative errors are rounding of the answer itself.
+UNIT_ROUNDOFF = 1.1e-16
 # Values of the column `condensed` where there is a choice.
 CONDENSED, WHOLE = "yes", "no"
 

@@ -19,9 +19,9 @@ from contactqp.errors import SceneError
 from contactqp.scene.shipped import shipped_folder
 from contactqp.study import rows
 from contactqp.study.curves import FLOOR, MARKS, Chart, curves, legend, method_style, rounded, variant_name
-from contactqp.study.report_charts import QUANTITIES, ROUNDING, case_chart, median_chart
+from contactqp.study.report_charts import QUANTITIES, case_chart, median_chart
 from contactqp.study.report_data import CaseRecord, ReportData
-from contactqp.study.rows import Row
+from contactqp.study.rows import UNIT_ROUNDOFF, Row
 from contactqp.study.statistics import BODY, Route, median_cases, solved
 
 # Of the cases that come with the package: a bar, a truss with and without friction, a string, a multi-point constraint.
@@ -146,7 +146,7 @@ def _compact(chart: Chart, mine: Sequence[Row]) -> Chart:
     times, errors = [*lines, *(spot.x for spot in spots)], [spot.y for spot in spots]
     across = _close_around(times)
     band = any(shape["type"] == "rect" for shape in arranged["shapes"])
-    exact = [spot for spot in spots if band and spot.y <= math.log10(ROUNDING)]
+    exact = [spot for spot in spots if band and spot.y <= math.log10(UNIT_ROUNDOFF)]
     rows_of, named = _fanned(exact, across)
     up = _above(max(rows_of.values(), default=-1) + 1, _close_around([math.log10(FLOOR), *errors]))
     moved = {spot: up.band(row) for spot, row in rows_of.items()}
@@ -232,12 +232,12 @@ class _Above:
 
     def band(self, row: int) -> float:
         """Return the height of the middle of a row of the band, counted from the top."""
-        return rounded(math.log10(ROUNDING) - (row + 0.5) * self.each)
+        return rounded(math.log10(UNIT_ROUNDOFF) - (row + 0.5) * self.each)
 
     def ticks(self) -> dict[str, Any]:
         """Return ticks at every other power of ten above the band, and a word in its middle."""
         powers = [power for power in range(-16, 40, 2) if power < self.high]
-        middle = (self.low + math.log10(ROUNDING)) / 2
+        middle = (self.low + math.log10(UNIT_ROUNDOFF)) / 2
         words = [f"10<sup>{power}</sup>".replace("-", "\u2212") for power in powers]
         return dict(
             tickmode="array", tickvals=[*(10.0**power for power in powers), 10**middle], ticktext=[*words, "exact"]
@@ -248,7 +248,7 @@ def _above(rows_below: int, around: Sequence[float]) -> _Above:
     """Return the axis around values whose band has so many rows; without any it ends where the values do."""
     if not rows_below:
         return _Above(around[0], around[1], 0.0)
-    border = math.log10(ROUNDING)
+    border = math.log10(UNIT_ROUNDOFF)
     high = max(around[1], border + 2)
     part = min((rows_below * ROW + 2) / AREA[1], MOST)
     total = (high - border) / (1 - part)
@@ -307,7 +307,7 @@ def _labels(
     for spot, away in beside.items():
         x, y = scale[0] * (spot.x - left) + away, scale[1] * (spot.y - low)
         taken.append(_box(spot.method, x, y))
-    free = scale[1] * (math.log10(ROUNDING) - low) if beside else 0.0
+    free = scale[1] * (math.log10(UNIT_ROUNDOFF) - low) if beside else 0.0
     places = [place for place in places if place[2] >= free]
     first = {name: i for i, name in enumerate(NAMED_FIRST)}
     for name in sorted(dict.fromkeys(name for name, *_ in places), key=lambda name: first.get(name, len(first))):

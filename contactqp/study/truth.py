@@ -18,7 +18,7 @@ from contactqp.oracle.assertions import largest_of, weights
 from contactqp.solving.solve import solve
 
 # The rounding error of a chain of a few dozen additions, relative to the size of its terms.
-ROUNDING = 64 * float(np.finfo(float).eps)
+SUMS_ROUND = 64 * float(np.finfo(float).eps)
 # True errors above this are wrong: the certificate's own tolerance of errors.
 ERROR_TOLERANCE = 1e-6
 # Values of `Errors.measure` where errors are not relative.
@@ -106,7 +106,7 @@ class Truth:
 
     def _allowance(self) -> float:
         norm = self._norm(self.displacement)
-        return ROUNDING * self._norm_of_sizes() / norm if norm > ROUNDING * self._norm_of_sizes() else 0.0
+        return SUMS_ROUND * self._norm_of_sizes() / norm if norm > SUMS_ROUND * self._norm_of_sizes() else 0.0
 
     def _length(self) -> float:
         """Return the largest length that meets at a contact or tie."""
@@ -154,7 +154,7 @@ class _Measured:
     @classmethod
     def of(cls, change: float, truth: float, scale: float) -> _Measured:
         """Measure a change; `scale` is the size of the terms that cancel in the truth, used where it is zero."""
-        if truth > ROUNDING * scale:
+        if truth > SUMS_ROUND * scale:
             return cls(change / truth, True, change / truth)
         if scale > 0:
             return cls(change, False, change / scale)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # imported where something deforms: this module also says wha
     from contactqp.elements.deformable import ContactGeometry, Deformable, LinearisedContacts
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
-ROUNDING = 64 * np.finfo(float).eps
+ROUNDING_OF_INTERNAL_FORCES = 64 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ class LoadedBody:
         residual = abs(self.out_of_balance(now, load, forces))
         parts = [load, now.internal, now.contact.normal.T @ forces.normal, self.tie.T @ forces.tie]
         size = max(float(np.max(abs(part), initial=0.0)) for part in parts)
-        rounding = ROUNDING * (abs(K) @ abs(now.displacement))
+        rounding = ROUNDING_OF_INTERNAL_FORCES * (abs(K) @ abs(now.displacement))
         reach = float(np.max(abs(now.displacement), initial=0.0))
         met = bool(np.all(length_error <= tolerance * reach + length_rounding))
         nothing = bool(np.all(residual <= tolerance * size + rounding)) and met

@@ -52,7 +52,7 @@ MOST_INVERTED = 60
 # Changes of the active set, and of the states of contacts with friction: two or three suffice, or others take over.
 MAX_CHANGES, MAX_STATE_CHANGES = 30, 10
 # Gaps, slips and forces of this part of their own terms are rounding.
-ROUNDING = 1e-13
+ROUNDING_OF_STEPS = 1e-13
 # A friction force that is this near to the cone slips; forces on their states are refined so many times.
 ON_CONE, REFINEMENTS = 1e-9, 2
 # Compliance, as part of its own, that is given to contacts whose forces nothing else bounds.
@@ -367,7 +367,7 @@ def _by_active_set(W: Array, c: Vector, start: Mask) -> Vector | None:
         gap = c + W @ force
         size = abs(c) + abs(W) @ abs(force)
         wrong_force = pushes & (force < 0)
-        wrong_gap = ~pushes & (gap < -ROUNDING * size)
+        wrong_gap = ~pushes & (gap < -ROUNDING_OF_STEPS * size)
         if not np.any(wrong_force) and not np.any(wrong_gap):
             return force
         pushes = (pushes & ~wrong_force) | wrong_gap
@@ -445,7 +445,7 @@ def _by_states(W: Array, c: Vector, friction: Vector, start: Status) -> Array | 
         if force is None:
             return None
         u = (W @ force.ravel() + c).reshape(m, 2)
-        size = ROUNDING * (abs(W) @ abs(force).ravel() + size_of_c).reshape(m, 2)
+        size = ROUNDING_OF_STEPS * (abs(W) @ abs(force).ravel() + size_of_c).reshape(m, 2)
         bound = friction * force[:, 0]
         closed, sign = state != OPEN, np.where(state == SLIP_BACK, -1.0, 1.0)
         opens = closed & (force[:, 0] < 0)

@@ -192,7 +192,7 @@ def _refuse_undecided(refined: Refined, push: Floats, gap: Floats) -> None:
 # neither strains nor loads anything; what the holding carries is enclosed with the rest, and has to be rounding.
 
 # What may be held, as a part of all forces that there are.
-ROUNDING = 1e-9
+PART_THAT_MAY_BE_HELD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def carried(held: Held, refined: Refined, radius: Floats) -> str:
     most = float(np.max(abs(refined.tie_force.floats()[first:]) + radius[first:]))
     u, push = abs(refined.displacement.floats()), refined.normal_force.floats()
     there = abs(problem.stiffness) @ u + abs(problem.load) + abs(problem.normal).T @ push
-    if not most <= ROUNDING * float(np.max(there)):
+    if not most <= PART_THAT_MAY_BE_HELD * float(np.max(there)):
         raise NotCertified(
             f"exact: motions that floats call free take {most:.3g} {problem.units.force}".rstrip() + " to hold",
             held.free,

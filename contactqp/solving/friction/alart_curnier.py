@@ -35,10 +35,10 @@ REGULARISATION = (1e-6, 1e-12, 1e2)
 # Step lengths that are tried before the regularisation grows.
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 # A residual that is rounding.
-ROUNDING = 1e-15
+ROUNDING_OF_MAP = 1e-15
 
 
-def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING) -> Iterate:
+def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING_OF_MAP) -> Iterate:
     """Return the best iterate that Newton's method reaches from a start; it is never worse than the start.
 
     Parameters

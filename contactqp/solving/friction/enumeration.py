@@ -50,7 +50,7 @@ REGULAR, SINGULAR = 1e-8, 1e-15
 # Signs that fail by this part of the contact's own lengths or force may be rounding; refinement tells.
 DOUBTFUL = 1e-8
 # Of the sizes that a sum is made of, what rounding may leave of it; of compliances, which are beneath it.
-ROUNDING = 1e-12
+ROUNDING_OF_SIZES = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Combinations:
         """(2m,) the forces that these lengths ask for; where nothing is compliant, what balances the bodies."""
         rows = np.arange(len(self.base))
         compliance = abs(self.slope[rows, rows])
-        felt = compliance > ROUNDING * np.max(compliance, initial=0.0)
+        felt = compliance > ROUNDING_OF_SIZES * np.max(compliance, initial=0.0)
         asked = np.divide(self._lengths, compliance, out=np.zeros_like(self._lengths), where=felt)
         return _filled(np.maximum(asked, np.max(abs(self.fixed_right), initial=0.0)), 1.0)
 
@@ -99,7 +99,7 @@ class Combinations:
             inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
             y = column * np.einsum("bji,bj->bi", rotation, inverse * coordinates)
             missing = abs(np.einsum("bij,bj->bi", matrix, y) - right)
-            rounding = ROUNDING * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
+            rounding = ROUNDING_OF_SIZES * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
             solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
             for b in np.flatnonzero(solved & (rank <= most)):
                 free = rotation[b, rank[b] :]
@@ -149,7 +149,7 @@ class Combinations:
 
 
 def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
-    rounding = ROUNDING * np.sum(abs(change), axis=1) * np.max(abs(y), initial=0.0)
+    rounding = ROUNDING_OF_SIZES * np.sum(abs(change), axis=1) * np.max(abs(y), initial=0.0)
     return bool(np.all(room + change @ y >= -DOUBTFUL * size - rounding))
 
 
@@ -161,8 +161,8 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
     from scipy.optimize import linprog
 
     count, slope = len(free), change @ (scale * free).T
-    slope[abs(slope) <= ROUNDING * (abs(change) @ scale)[:, None]] = 0.0
-    moving = np.any(abs(slope) > ROUNDING * np.max(abs(slope), initial=0.0), axis=1)
+    slope[abs(slope) <= ROUNDING_OF_SIZES * (abs(change) @ scale)[:, None]] = 0.0
+    moving = np.any(abs(slope) > ROUNDING_OF_SIZES * np.max(abs(slope), initial=0.0), axis=1)
     step = float(np.median(size[moving])) if np.any(moving) else 1.0
     rows, rest = np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]), (room + change @ start) / size
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(rest))):

@@ -37,11 +37,11 @@ from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.
-ROUNDING = 1e-13
+ROUNDING_OF_SIGNS = 1e-13
 # Where combinations come back: refinement, which judges each contact in its own measure, has the last word.
 DOUBTFUL = 1e-11
 # What fails by more than this part of the answer itself is no rounding of it: on bodies that next to nothing holds, the
-# displacement without contact forces, in which ROUNDING is measured, may be larger than the answer by all its digits.
+# displacement without contact forces, in which ROUNDING_OF_SIGNS is measured, may exceed the answer by all its digits.
 DROWNED = 1e-6
 # A slip of this part of the lengths that meet is none.
 STILL = 1e-12
@@ -159,7 +159,7 @@ def search(
         size = max(lengths.felt(status), float(np.max(found.normal, initial=0.0)))
         # A combination that has no answer may be passed through, and is none.
         worst = max(float(np.max(wrong, initial=0.0)), found.residual if found.residual > DOUBTFUL * size else 0.0)
-        if worst <= ROUNDING * size:
+        if worst <= ROUNDING_OF_SIGNS * size:
             return _not_drowned(system, lengths, found, held_open), steps
         if best is None or worst / size < best[0]:
             best = worst / size, found

@@ -37,7 +37,7 @@ SINGLE_LAYERS, MOST_LAYERS = 2, 64
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13
 # What is left of the forces that meet at an unknown when their rounding is all that is left.
-ROUNDING = 4 * np.finfo(float).eps
+ROUNDING_OF_RESIDUALS = 4 * np.finfo(float).eps
 # What the certificate asks of the equilibrium, whatever the method is asked for.
 LOOSEST = 1e-9
 # A load of this part of what the known displacement takes is none beside the rounding of that: start from rest.
@@ -289,7 +289,7 @@ class _Goal:
     def reached(self, run: ConjugateGradients) -> bool:
         error = run.estimate()
         left = ratio(beyond(abs(run.unbalanced), self.nothing), self.sizes)
-        if not self.iteration.any(left > ROUNDING):
+        if not self.iteration.any(left > ROUNDING_OF_RESIDUALS):
             return True
         if error > self.iteration.least_eigenvalue * self.energy**2:
             return False

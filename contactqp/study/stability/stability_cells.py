@@ -28,7 +28,7 @@ from contactqp.study.stability.axis_problem import UNIT_ROUNDOFF, Axis, AxisProb
 from contactqp.study.truth import ERROR_TOLERANCE
 
 # The rounding of the truth to doubles, which may add to an error that equals its bound.
-ROUNDING = 1e-12
+ROUNDING_OF_TRUTH = 1e-12
 
 AXES: tuple[Axis, ...] = (
     problem_axes.PENALTY_STIFFNESS,
@@ -377,7 +377,7 @@ def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
         errors = resultants.errors(solution.displacement, solution.normal_force, solution.tie_force)
         return f"the certificate says: {statements[0]}" if statements and errors.small else ""
     off = np.abs(solution.normal_force - truth.normal_force)
-    allowed = certificate.force_bound + ROUNDING * np.abs(truth.normal_force)
+    allowed = certificate.force_bound + ROUNDING_OF_TRUTH * np.abs(truth.normal_force)
     together = replace(truth, unique_forces=False).errors(solution.displacement, truth.normal_force, solution.tie_force)
     if bool(np.all(off <= allowed)) and together.small:
         return f"the certificate's own force bound is {float(np.max(certificate.force_bound)):.1e}"
