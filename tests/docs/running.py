@@ -57,7 +57,9 @@ class PageRun:
         elif block.language == "console":
             self._console(block, where)
         elif block.language == "sh":
-            for command in _commands(block.text):
+            commands = _commands(block.text)
+            assert commands, where
+            for command in commands:
                 assert self._run(command, where)[0] == 0, f"{where}: {command}"
         elif block.language == "toml":
             self._case(block)
