@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 
 import numpy as np
@@ -138,8 +137,10 @@ def test_rounding_of_springs_that_multipliers_cancel_opens_nothing(seed: int) ->
 @pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 60), marks=pytest.mark.slow)])
 def test_penalty_never_cycles(seeds: range) -> None:
     # The stiffness of springs makes every principal minor positive, where Murty's rule is finite.
-    for seed, beta in itertools.product(seeds, (0.1, 10.0, 1e4)):
-        problem = semidefinite_problem(seed)
-        if problem is not None and feasible_set(problem):
+    problems = {seed: semidefinite_problem(seed) for seed in seeds}
+    feasible = {seed: one for seed, one in problems.items() if one is not None and feasible_set(one)}
+    assert len(feasible) > len(seeds) // 2
+    for seed, problem in feasible.items():
+        for beta in (0.1, 10.0, 1e4):
             candidate = solve_penalty(problem, Settings(options={"penalty": beta}))
             assert candidate.claimed, (seed, beta, candidate.status)
