@@ -45,6 +45,11 @@ SETTLED_TURN = 1e-10
 MOST_COMPARING = 150
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
 UNMET = 1e-22
+# After so many of them an answer is told that is this far from that of its combination, in energy norm: more digits of
+# the distance would change no verdict.
+STEPS_TO_TELL, FAR_APART = 12, 1e-4
+# Slip directions that are far from settled and turn by more than this part of the turn before settle nowhere near.
+SLOW_TURN = 0.5
 FAR = "it is far from the answers of the combinations that it leads to"
 # Steps of conjugate gradients towards the response to forces.
 MOST_STEPS = 200
@@ -140,21 +145,22 @@ class IteratedBodies:
 
         assert start.friction_force is not None
         here = FrictionalAnswer(start.displacement, start.normal_force, start.friction_force, start.tie_force)
-        states = self._rows.in_states(status, here)
+        states, moved = self._rows.in_states(status, here), np.inf
         for _ in range(TURNS):
             left = self._before + MOST_COMPARING - self._iteration.krylov_iterations
             if left <= 0:
                 raise BackendFailed(FAR)
             system = CombinationSystem(self._rows, states)
-            found = system.answer(system.solved(system.closed(here.displacement), ROUNDING_OF_FIGURES, ENERGY, left))
+            found = system.answer(self._solved(system, here.displacement, left))
             last = Correction(
                 found.displacement - here.displacement,
                 found.normal_force - here.normal_force,
                 found.friction_force - here.friction_force,
                 found.tie_force - here.tie_force,
             )
-            here, moved = found, energy_norm(self._problem, extend(last.displacement))[0]
-            if not moved > SETTLED_TURN * energy_norm(self._problem, extend(here.displacement))[0]:
+            here, before, moved = found, moved, energy_norm(self._problem, extend(last.displacement))[0]
+            strain = energy_norm(self._problem, extend(here.displacement))[0]
+            if not moved > SETTLED_TURN * strain or moved > max(SLOW_TURN * before, FAR_APART * strain):
                 break
             states = self._rows.in_states(status, here)
         held = self._rows.constrained(states)
@@ -168,6 +174,18 @@ class IteratedBodies:
             regular=bool(np.all(np.isfinite(here.displacement))),
             redundant=self._iteration.constrained(self._iteration.rows[held], self._rows.limit[held]).redundant,
         )
+
+    def _solved(self, system: CombinationSystem, u: Vector, most: int) -> Vector:
+        """Return the answer of a combination from a displacement; to a few digits where the two are far apart."""
+        before = self._iteration.krylov_iterations
+        x = system.solved(system.closed(u), ROUNDING_OF_FIGURES, ENERGY, min(most, STEPS_TO_TELL))
+        left = before + most - self._iteration.krylov_iterations
+        if left <= 0 or self._strain(x - u) > FAR_APART * self._strain(x):
+            return x
+        return system.solved(x, ROUNDING_OF_FIGURES, ENERGY, left)
+
+    def _strain(self, x: Vector) -> float:
+        return float(np.sqrt(max(self._iteration.dot(x, self._iteration.product(x)), 0.0)))
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
         """Return the energy norm of the response of the tied bodies to contact forces, to a few per cent."""

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.linalg import multigrid
-from contactqp.linalg.iteration import iterated
+from contactqp.linalg.iteration import frictional_iteration, iterated
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.solving.friction import by_iteration
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
@@ -195,6 +195,21 @@ def beam(springs: int, friction: float) -> cq.ContactProblem:
     load = np.zeros(n)
     load[-3:] = 0.2, 0.1, -1.0
     return cq.ContactProblem(sp.csc_matrix(chain), load, normal, [0.0], tangent=tangent, friction=friction)
+
+
+def test_an_answer_that_is_far_off_is_told_in_a_few_turns_of_its_slips() -> None:
+    """They do not settle: it had taken 116 steps, thirty times those that a right answer takes."""
+    problem = fresh(CASES["pushed along, every contact turns its slip"])
+    found, steps = cq.solve(problem), frictional_iteration(problem)
+    before = steps.krylov_iterations
+    assert cq.certify(problem, found.displacement, found.normal_force, found.friction_force).passed
+    right = steps.krylov_iterations - before
+    without = cq.solve(problem.replace(friction=0.0))
+    before = steps.krylov_iterations
+    assert not cq.certify(problem, without.displacement, without.normal_force, 0 * found.friction_force).passed
+    assert 0 < right < steps.krylov_iterations - before <= 50
+    larger = cq.certify(problem, 1.01 * found.displacement, 1.01 * found.normal_force, 1.01 * found.friction_force)
+    assert larger.distance == pytest.approx(0.01, rel=0.02)
 
 
 @pytest.mark.sampled(3)
