@@ -175,7 +175,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
     rigid : RigidMotions
         The null space of K.
     none : (n,) array, optional
-        The forces up to which there is none at an unknown. Without load, forces that are no more need not balance.
+        The forces up to which there is none at an unknown. On a body without load such forces need not balance.
     """
     if not rigid.count:
         return 0.0
@@ -198,8 +198,9 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
         motions = moved[np.ix_(members, moving)]
         if not np.any(motions * size[members, None]):
             continue  # nothing acts where the body moves
-        if none is not None and np.all(size[members] <= none[members]) and np.all(untouched(problem)[members]):
-            continue  # the component of a load across what bears it, F sin(pi)
+        idle = not problem.load_size[members].any() or np.all(untouched(problem)[members])
+        if idle and none is not None and np.all(size[members] <= none[members]):
+            continue  # rounding that a tie brings, or the component of a load across what bears it, F sin(pi)
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
         worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))

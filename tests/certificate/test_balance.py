@@ -116,3 +116,17 @@ def test_a_massless_node_that_a_tie_holds_without_a_force_leaves_the_bounds(load
     solution = cq.solve(problem)
     assert solution.certificate.proven
     assert solution.certificate.energy_error <= 1e-12
+
+
+@pytest.mark.parametrize("load", [1.0, 1e6])
+def test_a_rounding_of_forces_elsewhere_at_a_massless_node_needs_no_balance(load: float) -> None:
+    """A tie force of 1e-13 of the load was all of the forces at the massless node, and out of balance."""
+    problem = cq.ContactProblem(
+        np.diag([1e3, 0.0]), [load, 0.0], [[0.0, 1.0]], [1e4], tie=[[-1.0, 1.0]], tie_value=[0.0]
+    )
+    u = [load / 1e3] * 2
+    assert cq.certify(problem, u, [0.0], None, [1e-13 * load]).passed
+    assert not cq.certify(problem, u, [0.0], None, [1e-6 * load]).passed
+    for force in (1e-6, -1e-6):
+        assert not cq.certify(problem, u, [force * load], None, [0.0]).passed
+    assert cq.certify(problem, normal_force=[0.0]).passed
