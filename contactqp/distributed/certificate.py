@@ -125,7 +125,8 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     ----------
     problem, answer : those of all ranks
     bodies : the bodies, each with its home
-    none : (n_here,) array [force], up to which forces on unknowns that nothing touches are rounding, such as F sin(pi)
+    none : (n_here,) array [force], up to which forces are rounding: those on unknowns that nothing touches, such as
+        F sin(pi), and all that act on a body without load
 
     Raises
     ------
@@ -143,7 +144,9 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
     spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
-    at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0]  # no force acts on the others
+    # Bodies without a load on which no force is more than nothing need not balance.
+    heard = bodies.totals(((size > none) | (problem.load != 0)).astype(float)[:, None])
+    at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0 and np.any(heard[i] > 0)]
     searches = {i: _WorstMotion(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
     columns.set_basis({i: search.resultants.weight for i, search in searches.items()})
     forces, hidden = bodies.totals(abs(columns.basis)), 1.0 if problem.frictional else 0.0
