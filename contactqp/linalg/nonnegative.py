@@ -22,6 +22,11 @@ from contactqp.model.problem import ContactProblem
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11
+# Active rows from which on their inverse is kept, and the part of W by which it may miss before it is formed anew.
+MANY, WORN = 200, 1e-6
+# The energy rises with each step; where it has fallen by this part, or has not risen in as many steps as there are
+# rows, W does not have the digits to go on.
+FALLEN = 1e-3
 # A shift within gaps may overshoot them by this part of its lengths: a few roundings.
 SHIFT_SLACK = 1e-15
 # Forces of a linear program beneath this part of what they carry are none.
@@ -54,39 +59,85 @@ def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_step
     max_steps : int
     """
     force = np.zeros(len(h))
-    active = _independent(W, np.flatnonzero(free))
-    if active:
-        force[active] = np.linalg.solve(W[np.ix_(active, active)], h[active])
+    active = _ActiveRows(W, _independent(W, np.flatnonzero(free)))
+    if active.rows:
+        force[active.rows] = np.linalg.solve(W[np.ix_(active.rows, active.rows)], h[active.rows])
+    highest, at = -np.inf, 0
     for step in range(max_steps):
-        excess = np.where(free, 0.0, h - W @ force - tolerance)
-        excess[active] = 0.0
+        pushed = W @ force
+        excess = np.where(free, 0.0, h - pushed - tolerance)
+        excess[active.rows] = 0.0
         i = int(np.argmax(excess)) if len(excess) else -1
         if i < 0 or excess[i] <= 0:
             return force, step, True
-        _close(W, h, force, active, i, free)
+        energy = float(h @ force - 0.5 * (force @ pushed))
+        if energy > highest:
+            highest, at = energy, step
+        elif step - at > len(h) or energy < highest - FALLEN * abs(highest):
+            return force, step, False  # to the accuracy of W it rises no more
+        _close(h, force, active, i, free)
     return force, max_steps, False
 
 
-def _close(W: Array, h: Vector, force: Vector, active: list[int], i: int, free: Mask) -> None:
+class _ActiveRows:
+    """The active rows of W, and of MANY of them the inverse of their W, which each change updates in O(q^2)."""
+
+    def __init__(self, W: Array, rows: list[int]) -> None:
+        self.W, self.rows = W, rows
+        self._inverse: Array | None = None
+
+    def drag(self, i: int) -> Vector:
+        """Return what one of force on row i takes from those of the active rows, W_aa^-1 W_ai."""
+        rows, held = self.rows, self.W[self.rows, i]
+        if len(rows) < MANY:
+            self._inverse = None
+            return np.asarray(np.linalg.solve(self.W[np.ix_(rows, rows)], held)) if rows else np.zeros(0)
+        kept = self._inverse is not None
+        inverse = np.asarray(np.linalg.inv(self.W[np.ix_(rows, rows)]) if self._inverse is None else self._inverse)
+        self._inverse, found, every = inverse, inverse @ held, np.zeros(len(self.W))
+        every[rows] = found
+        missed = held - (self.W @ every)[rows]
+        if kept and np.max(abs(missed)) > WORN * np.max(abs(held)):
+            self._inverse = None
+            return self.drag(i)
+        return found + inverse @ missed
+
+    def append(self, i: int, drag: Vector, compliance: float) -> None:
+        """Add row i, of this drag and of this compliance while the others are held."""
+        self.rows.append(i)
+        if self._inverse is not None:
+            border = np.append(-drag, 1.0)
+            self._inverse = np.pad(self._inverse, (0, 1)) + np.outer(border, border / compliance)
+
+    def drop(self, k: int) -> int:
+        """Remove the row in place k, and return which it was."""
+        if self._inverse is not None:
+            across = np.delete(self._inverse[k], k)
+            inner = np.delete(np.delete(self._inverse, k, 0), k, 1)
+            self._inverse = inner - np.outer(across, across / self._inverse[k, k])
+        return self.rows.pop(k)
+
+
+def _close(h: Vector, force: Vector, active: _ActiveRows, i: int, free: Mask) -> None:
     """Raise the force of row i until its excess is gone, dropping rows whose force reaches zero on the way."""
+    W, rows = active.W, active.rows
     while True:
-        drag = np.linalg.solve(W[np.ix_(active, active)], W[active, i]) if active else np.zeros(0)
-        compliance = W[i, i] - W[i, active] @ drag
+        drag = active.drag(i)
+        compliance = W[i, i] - W[i, rows] @ drag
         excess = h[i] - W[i] @ force
         full = excess / compliance if compliance > DEPENDENT else np.inf
-        falling = [k for k, j in enumerate(active) if not free[j] and drag[k] > 0]
-        ratios = [force[active[k]] / drag[k] for k in falling]
+        falling = [k for k, j in enumerate(rows) if not free[j] and drag[k] > 0]
+        ratios = [force[rows[k]] / drag[k] for k in falling]
         partial = min(ratios, default=np.inf)
         step = min(full, partial)
         if not np.isfinite(step):
-            raise Infeasible([*active, i])
-        force[active] -= step * drag
+            raise Infeasible([*rows, i])
+        force[rows] -= step * drag
         force[i] += step
         if step == full:
-            active.append(i)
+            active.append(i, drag, float(compliance))
             return
-        dropped = active.pop(falling[int(np.argmin(ratios))])
-        force[dropped] = 0.0
+        force[active.drop(falling[int(np.argmin(ratios))])] = 0.0
 
 
 def _independent(W: Array, rows: Indices) -> list[int]:

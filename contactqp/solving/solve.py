@@ -72,10 +72,11 @@ from contactqp.solving.sparse_run import SPARSE, SparseRun, after, by_sparse_sys
 # Arguments that every method has; all others are options of its own.
 OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
-# anchors for bodies that float, textbook systems in the numbers of the problem, an interior point, and sparse systems;
-# the last first where there are more constraints than unknowns, or than this, among which pivots may go a long way.
-ROUTES = ("lemke", "lagrange-multiplier", "clarabel", SPARSE)
-MANY_PIVOTS = 100
+# anchors for bodies that float, textbook systems in the numbers of the problem, Clarabel, and sparse systems; these
+# first where there are more constraints than unknowns, or than MANY_PIVOTS. Pivots are at most PIVOTS and
+# PIVOTS_OF_A_ROW for each constraint, and among more than MOST_PIVOTS, of which each takes long, they are left out.
+PIVOTING = ("lemke", "lagrange-multiplier")
+MANY_PIVOTS, MOST_PIVOTS, PIVOTS, PIVOTS_OF_A_ROW = 100, 150, 200, 2
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "aclm", "enumeration")
 
@@ -292,10 +293,12 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
         elif problem.contacts <= FEW_CONTACTS:  # all combinations take less than thousands of iterations
             return {name: routes.pop(name) for name in ("newton", "enumeration")} | routes
         return routes
-    routes = {route: {"condense": False} if route == SPARSE else {"method": route} for route in ROUTES}
-    if problem.contacts + problem.ties > min(problem.dimension, MANY_PIVOTS):
-        return {SPARSE: routes.pop(SPARSE), **routes}
-    return routes
+    constraints = problem.contacts + problem.ties
+    pivots = {"max_iter": PIVOTS + PIVOTS_OF_A_ROW * constraints}
+    routes = dict.fromkeys(PIVOTING, pivots) if constraints <= MOST_PIVOTS else {}
+    routes = {route: {"method": route} | limits for route, limits in {**routes, "clarabel": {}}.items()}
+    sparse = {SPARSE: {"condense": False}}
+    return sparse | routes if constraints > min(problem.dimension, MANY_PIVOTS) else routes | sparse
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:

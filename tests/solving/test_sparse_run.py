@@ -241,6 +241,11 @@ def test_sparse_systems_are_the_first_route_where_constraints_outnumber_the_unkn
     assert sorted(_routes(few)) == sorted(_routes(many))
 
 
+def test_routes_of_pivots_are_left_out_where_each_pivot_takes_long() -> None:
+    grid = np.eye(200)
+    assert list(_routes(cq.ContactProblem(grid, np.ones(200), grid, np.ones(200)))) == ["sparse", "clarabel"]
+
+
 def test_an_indefinite_stiffness_of_a_few_contacts_is_refused_with_its_direction() -> None:
     """Of 300 unknowns, too many for eigenvalues at the door; the contacts are on the first two."""
     K = sp.identity(300, format="lil")

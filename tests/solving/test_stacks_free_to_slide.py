@@ -204,7 +204,7 @@ def _not_converged(*_: Any) -> Any:
 
 def test_where_all_routes_are_refused_the_user_is_told_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = cq.ContactProblem([[157500.0]], [300.0], [[1.0]], [1e-3])
-    monkeypatch.setattr(solving, "find", _spoiling("active-set", *solving.ROUTES))
+    monkeypatch.setattr(solving, "find", _spoiling("active-set", *solving.PIVOTING, "clarabel"))
     monkeypatch.setattr(solving, "SparseRun", _not_converged)
     with pytest.raises(cq.NotCertified, match="lemke, lagrange-multiplier, clarabel, sparse were tried too") as caught:
         cq.solve(problem)

@@ -163,7 +163,7 @@ def _closed_by(data: tuple[Array, Vector, Mask, Vector], force: Vector, limit: i
         return force, steps
     force, more, done = dual_active_set(*data, limit - steps)
     if not done:
-        raise NotConverged(f"active-set: the contact set still changed after {limit} steps")
+        raise NotConverged(f"active-set: the contact set still changed after {steps + more} steps")
     return force, steps + more
 
 

@@ -1,0 +1,58 @@
+"""The dual active-set method on many rows: an inverse that is updated, and an end where digits are missing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from contactqp.linalg import nonnegative
+from contactqp.linalg.nonnegative import dual_active_set
+
+
+def unit_compliances(rows: np.ndarray) -> np.ndarray:
+    """W of rows of length one on springs of one."""
+    rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+    return rows @ rows.T
+
+
+@pytest.mark.parametrize("many", [5, 40, 200])
+def test_an_inverse_that_is_updated_leads_to_the_same_forces(many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(7)
+    rows = random.normal(size=(120, 150))
+    W = unit_compliances(rows - 1.2 * np.roll(rows, 1, axis=0))
+    h, none = random.normal(size=120) + 0.5, np.zeros(120, dtype=bool)
+    monkeypatch.setattr(nonnegative, "MANY", many)
+    force, steps, ended = dual_active_set(W, h, none, np.full(120, 1e-12), 5000)
+    assert ended
+    assert steps > np.count_nonzero(force) > 40  # rows were dropped on the way
+    assert np.all(force >= 0)
+    left = h - W @ force
+    assert np.max(left) <= 1e-11
+    assert abs(left[force > 0]).max() <= 1e-11
+
+
+def test_rows_that_repeat_replace_each_other_beside_an_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = np.repeat(np.random.default_rng(3).normal(size=(30, 40)), 2, axis=0)
+    W = unit_compliances(rows)
+    h = np.tile([1.0, 1.5], 30)
+    monkeypatch.setattr(nonnegative, "MANY", 3)
+    force, _, ended = dual_active_set(W, h, np.zeros(60, dtype=bool), np.full(60, 1e-12), 1000)
+    assert ended
+    assert np.all(force >= 0)
+    assert np.max(h - W @ force) <= 1e-11
+
+
+def test_it_ends_where_the_energy_rises_no_more() -> None:
+    """Tenth differences of a sequence: the singular values of W go down to 1e-26."""
+    size, order = 120, 10
+    signs = [(-1.0) ** (order - k) * math.comb(order, k) for k in range(order + 1)]
+    rows = sum(np.diag(np.full(size - abs(k), sign), k)[: size - order] for k, sign in enumerate(signs))
+    i = np.arange(size)
+    data = abs(i / size - 0.7) + 0.1 * np.sin(i + 1.0)
+    h = -(rows @ data) / np.linalg.norm(rows, axis=1)
+    none = np.zeros(len(h), dtype=bool)
+    _, steps, ended = dual_active_set(unit_compliances(rows), h, none, np.full(len(h), 1e-12), 50_000)
+    assert not ended
+    assert steps < 2000
