@@ -5,6 +5,7 @@ Without friction the truth is found in rational numbers (`exact_truth`); `judgin
 
 from __future__ import annotations
 
+import re
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -42,6 +43,8 @@ SEEN = 1e-3
 MOVED_RIGHTLY = 1e-11
 # A force that is beyond its bound by this part of those that meet where it acts is beyond the tolerance of 1e-9.
 HARDLY_SEEN = 1e-8
+# A part of the forces that meet that counts as nothing on a rigid motion is at most a thousandth of this.
+MUCH = 1e-9
 # What a forgery adds to forces or lengths: far above the tolerance of 1e-9, below the errors that bounds pass.
 FORGED = 1e-6
 
@@ -50,7 +53,7 @@ FORGED = 1e-6
 class Finding:
     """Something that must not be."""
 
-    kind: str  # crashed, wrong, denied, refused, forgery, bound, units, slow, printed
+    kind: str  # crashed, wrong, denied, refused, unproven, forgery, bound, units, slow, printed
     what: str  # the call
     text: str
 
@@ -185,6 +188,8 @@ def _judge_answer(
         judge.found("wrong", f"solve {method}", f"passed, and off by {off:.2g}")
     if not solution.certificate.passed and method == "active-set" and posed:
         judge.found("refused", f"solve {method}", "; ".join(solution.certificate.failures)[:300])
+    if _calls_much_nothing(solution.certificate):
+        judge.found("unproven", f"solve {method}", "; ".join(solution.certificate.reasons)[:300])
 
 
 def _in_plain_units(judge: Judge, certificate: Any) -> Any:
@@ -297,6 +302,12 @@ def _judge_parts_alone(judge: Judge, u: Array, force: Array) -> None:
 def _says_nothing_pushes(certificate: cq.Certificate) -> bool:
     """Whether the verdict claims no bound, as the load on a rigid motion is nothing beside the forces that squeeze."""
     return any("counts as nothing" in reason for reason in certificate.reasons)
+
+
+def _calls_much_nothing(certificate: cq.Certificate) -> bool:
+    """Whether no bound is claimed for a load on a rigid motion that is no small part of the forces that meet there."""
+    parts = [re.search(r"drives a rigid motion by (\S+) of the forces that meet", one) for one in certificate.reasons]
+    return any(part is not None and float(part[1]) > MUCH for part in parts)
 
 
 def _strains_nothing(truth: Truth, u: Array) -> bool:
