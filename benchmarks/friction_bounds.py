@@ -6,7 +6,8 @@
 Supported on top, or held there by ties alone; judged are the answer of the solve, and the one that somebody else prints
 with nine digits. "After" is the judgement of the answer of a solve whose factors are there, "alone" that of one whose
 stiffness nothing has been computed of. Exit code 1 if a problem within the stated size has no bound, if a bound after
-the solve takes more than half of it, or if one is below the distance of the printed answer to the refined one.
+the solve takes more than half of it with up to 300 contacts, or if one is below the distance of the printed answer to
+the refined one.
 """
 
 from __future__ import annotations
@@ -69,13 +70,16 @@ def problems() -> dict[str, Callable[[], cq.ContactProblem]]:
     """Return what makes each problem of the table, by its name."""
     strip, cube = rectangle(2.0, 0.5, (199, 8)), box((1.0, 1.0, 0.3), (13, 13, 3))
     longer, wider = rectangle(4.0, 0.5, (399, 8)), box((1.0, 1.0, 0.3), (18, 18, 3))
+    longest, widest = rectangle(7.0, 0.5, (699, 8)), box((1.0, 1.0, 0.3), (25, 25, 3))
     return {
         "plane, supported": lambda: block(strip, "plane-strain", 0.2, tied=False),
         "plane, tied": lambda: block(strip, "plane-strain", 0.2, tied=True),
         "space, supported": lambda: block(cube, "3d", 0.2, tied=False),
         "space, tied": lambda: block(cube, "3d", 0.2, tied=True),
-        "plane, beyond the size": lambda: block(longer, "plane-strain", 0.2, tied=False),
-        "space, beyond the size": lambda: block(wider, "3d", 0.2, tied=False),
+        "plane, nearby alone": lambda: block(longer, "plane-strain", 0.2, tied=False),
+        "space, nearby alone": lambda: block(wider, "3d", 0.2, tied=False),
+        "plane, beyond the size": lambda: block(longest, "plane-strain", 0.2, tied=False),
+        "space, beyond the size": lambda: block(widest, "3d", 0.2, tied=False),
     }
 
 
@@ -128,7 +132,7 @@ def row(name: str, problem: cq.ContactProblem, rounds: int) -> list[str]:
         print(f"    {found.reasons[0]}" if found.reasons else "    no reason is given")
         return [] if found.reasons else [f"{name}: no reason is given"]
     wrong = [f"{name}: the {of} has no bound" for of, one in (("answer", found), ("print", printed)) if not one.proven]
-    if part > MOST:
+    if part > MOST and "nearby" not in name:
         wrong.append(f"{name}: the bound takes {part:.2f} of the solve")
     if printed.proven and (below := below_the_distance(solution, printed)):
         wrong.append(f"{name}: {below} of the printed forces are bounded by less than their distance")

@@ -22,7 +22,7 @@ from contactqp.certificate.bounds import (
     no_bounds,
 )
 from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
-from contactqp.certificate.critical_friction import condensed_to_prove, too_many
+from contactqp.certificate.critical_friction import condensed_to_prove
 from contactqp.certificate.energy_bounds import bounds_by_energy, energy_bounds
 from contactqp.certificate.figures import kept_residuals, violations
 from contactqp.certificate.frictional_bounds import frictional_bounds
@@ -104,7 +104,8 @@ def compute_certificate(
     error_tolerance : largest bound on the relative error that passes
     factorization : Condensation, optional
         Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
-    prove_friction : whether bounds are looked for with friction, too, which costs up to a third of a solve
+    prove_friction : whether bounds are looked for with friction, too, which condenses bodies
+        that were not, within the sizes of `contactqp.certificate.critical_friction`
 
     Raises
     ------
@@ -227,9 +228,12 @@ def _measured(
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
         at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
         systems = Systems.CONDENSED if at_once else systems_of(problem)
-        candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET else None
+        candidates, reason = None, FRICTION_HAS_NONE
+        if systems is Systems.SUBSET and prove_friction and problem.frictional:
+            factorization, reason = condensed_to_prove(problem)
+        if systems is Systems.SUBSET and factorization is None:
+            candidates = believed_candidates(problem, answer)
         if candidates is not None and problem.frictional:
-            reason = f"friction: {too_many(problem)}" if prove_friction else FRICTION_HAS_NONE
             residual, bounds, condensation = residuals(problem, answer), no_bounds(reason), None
             state, rigid = state_among(problem, answer, candidates, allowed)
         else:

@@ -31,8 +31,9 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.summary import folded, number
 
-# Beyond these, dense operators of all contacts cost more than a certificate should.
-MOST_CONTACTS = 300
+# Beyond these, dense operators of all contacts cost more than a certificate should; what is said of equilibria nearby
+# takes fewer of them.
+MOST_CONTACTS, MOST_NEARBY = 300, 600
 MOST_UNKNOWNS = 2000
 # 4^6 determinants take a tenth of a second, once for a stiffness.
 MOST_COMBINED = 6
@@ -162,16 +163,18 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
         return critical(problem, condensation)
 
 
-def too_many(problem: ContactProblem, condensation: Condensation | None = None) -> str | None:
+def too_many(problem: ContactProblem, condensation: Condensation | None = None, nearby: bool = False) -> str | None:
     """Return the reason why a problem is too large for dense operators of all contacts, or None.
 
     Parameters
     ----------
     problem : ContactProblem
     condensation : Condensation or None, whose unknowns count; without it those that contacts and ties touch do
+    nearby : bool, whether equilibria nearby alone are examined
     """
-    if problem.contacts > MOST_CONTACTS:
-        return f"{counted('contact', problem.contacts)}, at most {MOST_CONTACTS} are examined"
+    most = MOST_NEARBY if nearby else MOST_CONTACTS
+    if problem.contacts > most:
+        return f"{counted('contact', problem.contacts)}, at most {most} are examined"
     unknowns = len(touched_unknowns(problem) if condensation is None else condensation.retained)
     if unknowns > MOST_UNKNOWNS:
         return f"{counted('contact unknown', unknowns)}, at most {MOST_UNKNOWNS} are examined"
@@ -180,7 +183,7 @@ def too_many(problem: ContactProblem, condensation: Condensation | None = None) 
 
 def condensed_to_prove(problem: ContactProblem) -> tuple[Condensation | None, str]:
     """Return the condensation that bounds with friction take where sparse systems cost less, or why there is none."""
-    if (reason := too_many(problem)) is None and not problem.diagonal.all():
+    if (reason := too_many(problem, nearby=True)) is None and not problem.diagonal.all():
         reason = WITHOUT_STIFFNESS
     return (condense(problem), "") if reason is None else (None, f"friction: {reason}")
 

@@ -128,8 +128,9 @@ def frictional_bounds(
 def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared) -> Bounds | str:
     if not np.all(problem.diagonal > 0):
         return WITHOUT_STIFFNESS
-    if (reason := too_many(problem, condensation)) is not None:
+    if (reason := too_many(problem, condensation, nearby=True)) is not None:
         return reason
+    others = too_many(problem, condensation)  # why other equilibria far away are not excluded
     compliance = contact_compliance(problem, condensation)
     if compared.refined.redundant:
         return ROWS_DEPEND
@@ -137,14 +138,15 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     if refined is None:
         return "its refined answer leaves ties unmet"
     kappa = np.inf
-    if not compliance.floats:
+    if others is None and not compliance.floats:
         norms = ForceNorms.of(compliance, condensation.lost_digits, felt_rows(compliance))
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
             error = _distance(refined, norms, compared.status, _coefficient(problem, compared), kappa)
             return _bounds(problem, answer, compared, norms, compliance, error)
-    return _proven_nearby(problem, condensation, answer, compared, refined, kappa)
+    others = others or (FLOATS if compliance.floats else f"kappa = {kappa:.3g}")
+    return _proven_nearby(problem, condensation, answer, compared, refined, others)
 
 
 def _proven_nearby(
@@ -153,20 +155,20 @@ def _proven_nearby(
     answer: Answer,
     compared: Compared,
     refined: RefinedLengths,
-    kappa: float,
+    others: str,
 ) -> Bounds | str:
     """Return the local statement where every sign holds by a margin, or the reason why there is none.
 
     Parameters
     ----------
     refined : the refined answer of the combination that the candidate was compared with
-    kappa : not below one, so that there is no global statement
+    others : why there is no global statement
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
     norms = ForceNorms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
     if norms is None:
         return ROWS_DEPEND
-    others = f"other equilibria are not excluded ({FLOATS if compliance.floats else f'kappa = {kappa:.3g}'})"
+    others = f"other equilibria are not excluded ({others})"
     uncertain, apart = refined.correction, 0.0
     if compliance.floats:
         uncertain += _rigid_rounding(compliance, compared, refined, mu)

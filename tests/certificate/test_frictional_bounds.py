@@ -442,8 +442,23 @@ def test_two_hundred_contacts_are_proven_and_condensed_where_that_is_asked_for()
     assert (found.proven, found.scope) == (True, "local")
 
 
+def test_beyond_the_size_of_a_global_statement_there_is_a_local_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 23)
+    monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 23)
+    plane = by_sparse_systems(block(rectangle(2.0, 0.5, (23, 4)), "plane-strain", 0.2, tied=False))
+    space = block(box((1.0, 1.0, 0.3), (5, 3, 2)), "3d", 0.2, tied=False)
+    assert (systems_of(plane), systems_of(space)) == (Systems.SPARSE, Systems.SUBSET)
+    for problem in (plane, space):
+        solution = cq.solve(problem)
+        found = certificate_of_printed(problem, solution)
+        assert (found.proven, found.scope, found.reasons) == (True, "local", ())
+        printed = certificate_of_printed(problem, solution, 9)
+        assert (printed.proven, printed.scope, below_the_distance(solution, printed)) == (True, "local", 0)
+
+
 def test_beyond_the_stated_size_the_reason_is_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 23)
+    monkeypatch.setattr(critical_friction, "MOST_NEARBY", 23)
     monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 23)
     plane = by_sparse_systems(block(rectangle(2.0, 0.5, (23, 4)), "plane-strain", 0.2, tied=False))
     space = block(box((1.0, 1.0, 0.3), (5, 3, 2)), "3d", 0.2, tied=False)
@@ -454,6 +469,7 @@ def test_beyond_the_stated_size_the_reason_is_the_size(monkeypatch: pytest.Monke
         assert found.reasons[0] == "energy_error: friction: 24 contacts, at most 23 are examined"
         assert "uniqueness was not examined: 24 contacts, at most 23 are examined" in found.notes
     monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 24)
+    monkeypatch.setattr(critical_friction, "MOST_NEARBY", 24)
     monkeypatch.setattr(critical_friction, "MOST_UNKNOWNS", 47)
     found = certificate_of_printed(plane, cq.solve(plane))
     assert found.reasons[0] == "energy_error: friction: 48 contact unknowns, at most 47 are examined"
