@@ -223,9 +223,14 @@ def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
     assert local >= problems // 50
 
 
-@pytest.mark.parametrize(("contacts", "planted"), [(60, 12), pytest.param(300, 4, marks=pytest.mark.slow)])
-def test_a_force_that_is_a_thousandth_off_is_outside_of_every_bound_of_a_millionth(contacts: int, planted: int) -> None:
-    """Of all forces one is wrong: it is refused, or what is proven of it is no less than what was planted."""
+@pytest.mark.parametrize(
+    ("contacts", "planted", "least"),
+    [(60, 12, 6), pytest.param(300, 4, 2, marks=pytest.mark.slow), pytest.param(500, 4, 0, marks=pytest.mark.slow)],
+)
+def test_a_force_that_is_a_thousandth_off_is_outside_of_every_bound_of_a_millionth(
+    contacts: int, planted: int, least: int
+) -> None:
+    """Of up to a thousand forces one is wrong: it is refused, or what is proven is no less than what was planted."""
     rng, n = np.random.default_rng(12), 2 * contacts
     near = 0.3 * rng.random(n - 1)
     W = sp.diags([near, np.full(n, 2.0), near], [-1, 0, 1]).tocsr()
@@ -244,4 +249,4 @@ def test_a_force_that_is_a_thousandth_off_is_outside_of_every_bound_of_a_million
             bounded += 1
             assert loose.force_bound[i] >= 1e-3 * force[i, 0] * (1 - 1e-9)
             assert loose.force_error > 1e-6
-    assert bounded >= planted // 2
+    assert bounded >= least  # a local statement reaches no answer so far off: it is refused
