@@ -265,7 +265,7 @@ def heated_from_its_border(cells: int, capped_by: float) -> cq.ContactProblem:
     return cq.ContactProblem.from_qp(K, np.zeros(nodes * nodes), A=tie, b=heat, lb=below, ub=above)
 
 
-@pytest.mark.parametrize("capped_by", [0.27, 1.1e-5])
+@pytest.mark.parametrize("capped_by", [0.27, pytest.param(1.1e-5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "method", ["active-set", *(pytest.param(x, marks=pytest.mark.slow) for x in ("piqp", "clarabel"))]
 )
