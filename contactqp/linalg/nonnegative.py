@@ -24,9 +24,9 @@ from contactqp.model.problem import ContactProblem
 DEPENDENT = 1e-11
 # Active rows from which on their inverse is kept, and the part of W by which it may miss before it is formed anew.
 MANY, WORN = 200, 1e-6
-# The energy rises with each step; where it has fallen by this part, or has not risen in as many steps as there are
-# rows, W does not have the digits to go on.
-FALLEN = 1e-3
+# The energy rises with each step; where it has fallen by this part, and by more than rounding of its terms, or has not
+# risen in as many steps as there are rows, W does not have the digits to go on.
+FALLEN, ROUNDED = 1e-3, 1e-12
 # A shift within gaps may overshoot them by this part of its lengths: a few roundings.
 SHIFT_SLACK = 1e-15
 # Forces of a linear program beneath this part of what they carry are none.
@@ -73,7 +73,7 @@ def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_step
         energy = float(h @ force - 0.5 * (force @ pushed))
         if energy > highest:
             highest, at = energy, step
-        elif step - at > len(h) or energy < highest - FALLEN * abs(highest):
+        elif step - at > len(h) or energy < highest - max(FALLEN * abs(highest), ROUNDED * float(abs(h) @ abs(force))):
             return force, step, False  # to the accuracy of W it rises no more
         _close(h, force, active, i, free)
     return force, max_steps, False
