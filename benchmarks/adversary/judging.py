@@ -188,7 +188,7 @@ def _judge_answer(
         judge.found("wrong", f"solve {method}", f"passed, and off by {off:.2g}")
     if not solution.certificate.passed and method == "active-set" and posed:
         judge.found("refused", f"solve {method}", "; ".join(solution.certificate.failures)[:300])
-    if _calls_much_nothing(solution.certificate):
+    if solution.certificate.passed and _calls_much_nothing(solution.certificate):
         judge.found("unproven", f"solve {method}", "; ".join(solution.certificate.reasons)[:300])
 
 
