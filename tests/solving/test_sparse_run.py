@@ -360,3 +360,13 @@ def test_bounds_on_both_sides_of_a_dense_energy_stay_sparse() -> None:
     with pytest.raises(cq.NoEquilibrium) as refusal:
         cq.solve(program.replace(gap=np.where(program.gap > 0, 0.9 / n, 0.0)))
     assert refusal.value.proof.excess > refusal.value.proof.rounding
+
+
+def test_a_backend_that_ends_processes_is_not_asked_again() -> None:
+    """QPALM's segmentation fault takes the user's process with it."""
+    problem = cq.ContactProblem(np.eye(2), np.ones(2), np.eye(2), np.ones(2))
+    error = cq.NotConverged("qpalm: it stopped")
+    with pytest.raises(cq.NotConverged) as raised:
+        sparse_run.by_sparse_systems(problem, methods.find("qpalm"), methods.Settings(), error)
+    assert raised.value is error
+    assert sparse_run.by_sparse_systems(problem, methods.find("clarabel"), methods.Settings(), error).certificate.passed
