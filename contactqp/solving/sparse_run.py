@@ -60,7 +60,8 @@ BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter
 # From so many constraints on their overlap is sought by Clarabel before a linear program seeks it, in so many programs,
 # each from the displacement of the one before; it cannot tell an overlap of less than its tolerance.
 MANY_ROWS, OVERLAPS, OVERLAPPING = 10_000, 3, 1e-9
-# Where condensed systems led to nothing QPALM has ended the process on the sparse ones (a segmentation fault).
+# QPALM may end the process (a segmentation fault) where its factors break down, as of a floating chain at 1e10 N/m:
+# it is shown the equilibrated problem, and is not asked again for one that condensed systems have lost.
 ENDS_PROCESSES = ("qpalm",)
 # Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
 ENOUGH = 1e-18
@@ -101,6 +102,10 @@ class SparseRun(Run):
         with on_one_thread():  # nothing dense here is large
             if method.kind == CONDENSES_ITSELF:
                 self.candidate = self._identified(settings.now)
+            elif method.name in ENDS_PROCESSES:
+                start = settings.warm_start and self._scaling.scale(settings.warm_start)
+                found = method.solve(self._twin, replace(settings.now, warm_start=start))
+                self.candidate = self._scaling.unscale(found)
             else:
                 self.candidate = method.solve(problem, settings.now)
 
@@ -307,7 +312,8 @@ def by_sparse_systems(
 ) -> Solution:
     """Return the certified solution that a backend leads to on sparse systems where condensed ones led to none.
 
-    Raises the error where these lead to none, with friction, and for methods that are shown dense matrices.
+    Raises the error where these lead to none, with friction, for methods that are shown dense matrices, and for those
+    that may end the process.
 
     Parameters
     ----------
@@ -315,9 +321,8 @@ def by_sparse_systems(
         As in `Run`.
     error : that of the condensed systems
     """
-    if problem.frictional or method.kind == CONDENSES_ITSELF or not has_sparse_systems(method):
-        raise error
-    if method.name in ENDS_PROCESSES:
+    shown_once = method.kind == CONDENSES_ITSELF or method.name in ENDS_PROCESSES
+    if problem.frictional or shown_once or not has_sparse_systems(method):
         raise error
     started = time.perf_counter()
     try:

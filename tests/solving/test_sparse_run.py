@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import extended, pardiso, schur, sparse_saddle
 from contactqp.linalg.iteration import constraints_are_many
+from contactqp.model.solution import Candidate
 from contactqp.solving import methods, sparse_run
 from contactqp.solving.methods import inexact_active_set
 from contactqp.solving.solve import _routes
@@ -362,11 +364,24 @@ def test_bounds_on_both_sides_of_a_dense_energy_stay_sparse() -> None:
     assert refusal.value.proof.excess > refusal.value.proof.rounding
 
 
+@pytest.mark.skipif(importlib.util.find_spec("qpalm") is None, reason="qpalm is not installed")
 def test_a_backend_that_ends_processes_is_not_asked_again() -> None:
-    """QPALM's segmentation fault takes the user's process with it."""
+    """QPALM may end the process where its factors break down: it is shown diagonals of one, and once."""
     problem = cq.ContactProblem(np.eye(2), np.ones(2), np.eye(2), np.ones(2))
     error = cq.NotConverged("qpalm: it stopped")
     with pytest.raises(cq.NotConverged) as raised:
         sparse_run.by_sparse_systems(problem, methods.find("qpalm"), methods.Settings(), error)
     assert raised.value is error
     assert sparse_run.by_sparse_systems(problem, methods.find("clarabel"), methods.Settings(), error).certificate.passed
+    seen: list[cq.ContactProblem] = []
+    method = methods.find("qpalm")
+
+    def watched(shown: cq.ContactProblem, settings: methods.Settings) -> Candidate:
+        seen.append(shown)
+        return method.solve(shown, settings)
+
+    stiff = problem.replace(stiffness=1e10 * np.eye(2), load=[2e10, 0.0])
+    run = sparse_run.SparseRun(stiff, replace(method, solve=watched), methods.Settings())
+    assert np.all((seen[0].diagonal >= 0.25) & (seen[0].diagonal <= 4))
+    assert run.candidate.displacement == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert run.candidate.normal_force == pytest.approx([1e10, 0.0], abs=1e5)
