@@ -354,7 +354,9 @@ def forces_added(problem: cq.ContactProblem, u: Array, force: Array, tie: Array)
     closed = problem.normal.toarray()[problem.gap - problem.normal @ u <= 1e-9 * (abs(problem.normal) @ abs(u))]
     held = np.vstack([closed, problem.tie.toarray()])
     held /= np.where(np.any(held, axis=1), np.max(abs(held), axis=1, initial=0.0), 1.0)[:, None]
-    if largest > 0 and np.min(np.linalg.svd(held, compute_uv=False), initial=1.0) > 1e-3 and len(held) <= held.shape[1]:
+    pushed = np.nanmax(np.sqrt(compliance) * abs(problem.load), initial=0.0)
+    acts = largest > 1e-11 * pushed  # a force beneath 1e-12 of the size of the problem counts as nothing
+    if acts and np.min(np.linalg.svd(held, compute_uv=False), initial=1.0) > 1e-3 and len(held) <= held.shape[1]:
         for at in np.flatnonzero(of_tie > 0)[-1:]:
             yield "a tie force off by 0.001", force, tie + np.eye(len(tie))[at] * 1e-3 * largest / of_tie[at]
 
