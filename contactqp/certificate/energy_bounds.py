@@ -34,6 +34,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
+from contactqp.errors import NotConverged
 from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
@@ -47,7 +48,7 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts
-from contactqp.linalg.interior_point import settled, without_conflict
+from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.measures import bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
@@ -59,7 +60,7 @@ from contactqp.linalg.sparse_saddle import (
     SparseSaddle,
     kept_saddle,
 )
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
 
@@ -83,6 +84,7 @@ DECIDED = "what rounding of the data decides is not proven"
 NEAR = 1e-6
 # Of contact forces that are less than this part of those of ties an error of 1e-6 is nothing beside these, 1e-12.
 LEAST_PART = 1e-6
+OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 # Elastic energy beneath zero by this part of the energy's terms is that of a stationary point that is no minimum.
 NEGATIVE = 1e-9
@@ -94,19 +96,31 @@ MOTIONS_OF_A_BODY = 6
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     """Return the bounds of a frictionless answer from the solution nearest to it, nothing being condensed.
 
+    There are none of an answer that the time limit has cut short where they take as long again.
+
     Raises
     ------
     InvalidProblem
         K is indefinite.
     """
+    try:
+        with within_time(seconds_of_unfinished()):
+            return _energy_bounds(problem, answer)
+    except NotConverged:
+        if seconds_of_unfinished() is None:
+            raise
+        return no_bounds(OUT_OF_TIME)
+
+
+def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     twin, scaling = equilibrated(problem)
     factor = stiffness_factor(problem, factors=_factors_of_saddle(twin), least=DEFINITE)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
     scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
     start = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
-    effort = Effort()
-    state = settled(twin, start, effort)
+    finished = seconds_of_unfinished() is None
+    state = settled(twin, start, Effort()) if finished else solved_from(twin, start, Effort(), claimed=False)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     found = _from_solution(twin, start, state, scaling, definite=factor is not None)

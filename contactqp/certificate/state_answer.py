@@ -22,7 +22,7 @@ are proven.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -57,7 +57,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, lengths, row_sizes
 from contactqp.linalg.measures import directions as directions_of
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Vector, seconds_of_unfinished
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import STATE, Answer, Violations
@@ -75,6 +75,7 @@ AT_BOUND = 1e-9
 # Refinement whose last correction is this part of the limit of the distance has settled.
 SETTLED = 1e-3
 # Why an answer is refused, or compared with none.
+OUT_OF_TIME = "the time limit ended the search before the answer was compared with that of its own states"
 NONE_HOLDS = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
 SINGULAR = "the system of its combination of open, stick and slip has no inverse"
 UNSETTLED = (
@@ -136,6 +137,8 @@ def state_verdict(
         if (reason := _too_large(problem, condensation, answer)) is not None:
             return figures_alone(reason)
         bodies = CondensedBodies(problem, condensation)
+    elif seconds_of_unfinished() is not None:
+        return replace(figures_alone(OUT_OF_TIME), failures=(f"state: {OUT_OF_TIME}",))
     elif (systems := systems_of(problem)) is Systems.ITERATED:
         bodies = IteratedBodies(problem)
     elif systems is Systems.SPARSE:

@@ -101,6 +101,8 @@ class Condensation:
         elif floats:
             retained = np.union1d(touched, fixing_unknowns(stated.motions, touched, self._diagonal))
         self._eliminate_if_regular(retained, self.unknown_scale)
+        if problem.dimension > SMALL:
+            refuse_late("the condensed stiffness was factorised")
         if floats and self._floats_no_further(stated):
             self.rigid = stated
         elif self._may_be_singular(problem):

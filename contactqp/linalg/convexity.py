@@ -134,6 +134,7 @@ def refuse_indefinite_by_iteration(problem: ContactProblem, iteration: ContactIt
     random = np.random.default_rng(0).standard_normal(problem.dimension)
     run = iteration.run_without_rows(np.sqrt(problem.diagonal) * random)
     while run.steps < STEPS and run.step():
+        iteration.refuse_late("the stiffness was found convex")
         iteration.krylov_iterations += 1
     if run.fall is not None:
         _refuse_curved(problem, run.fall)

@@ -35,7 +35,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root
+from contactqp.model.arrays import RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
@@ -254,6 +254,8 @@ class BackSubstitution:
     def _schur_complement(self, stiffness: Any) -> Array:
         S = _dense(_block(stiffness, self._retained, self._retained))
         for start in range(0, len(self._retained) if self._interior.size else 0, BLOCK):
+            if start:
+                refuse_late("the stiffness was condensed")
             columns = slice(start, start + BLOCK)
             right = _dense(self._coupling[:, columns])
             S[:, columns] -= self._coupling.T @ self._solve(right)

@@ -399,6 +399,7 @@ def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Call
     rows = sp.vstack([E[others], A], format="csr")
     below = -np.concatenate([compliance[others], np.zeros(k)]) - REGULARISATION
     stiffness = problem.stiffness_rows + sp.diags(diagonal)
+    refuse_late("the next step along the central path")
     matrix = sp.bmat([[stiffness, rows.T], [rows, sp.diags(below)]], format="csc") if rows.shape[0] else stiffness
     factor = factorised(sp.csc_matrix(matrix), INDEFINITE, elimination_order(problem), np.arange(n))
     effort.factorisations += 1

@@ -27,7 +27,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.pardiso import products
-from contactqp.model.arrays import Array, Indices, Mask
+from contactqp.model.arrays import Array, Indices, Mask, refuse_late
 
 # Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
 # every set of rows, and beyond some hundred that costs more than another level does.
@@ -99,6 +99,7 @@ class Hierarchy:
         self.bodies = _bodies(matrix)
         self.levels: list[Level] = []
         while True:
+            refuse_late("the hierarchy of the stiffness was built")
             diagonal, product = _positive(matrix.diagonal()), products(matrix)
             largest = largest_eigenvalue(product, diagonal)
             aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector, seconds_left
 from contactqp.model.problem import ContactProblem
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
@@ -198,7 +198,8 @@ def highs(cost: Vector, **constraints: Any) -> Any:
         return None
     size = len(cost) + sum(len(constraints.get(limits, ())) for limits in ("b_ub", "b_eq"))
     options = dict.fromkeys(("primal_feasibility_tolerance", "dual_feasibility_tolerance"), CARRIES)
-    options |= {"time_limit": SECONDS, "maxiter": LEAST_STEPS + STEPS_OF_A_ROW * size}
+    seconds = min(SECONDS, seconds_left() or SECONDS)
+    options |= {"time_limit": seconds, "maxiter": LEAST_STEPS + STEPS_OF_A_ROW * size}
     try:
         found = linprog(cost, method="highs-ds", options=options, **constraints)
     except ValueError:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing
 from contactqp.linalg.runtime import free_memory
-from contactqp.model.arrays import Array, Indices
+from contactqp.model.arrays import Array, Indices, refuse_late
 from contactqp.model.problem import ContactProblem
 
 POSITIVE_DEFINITE, INDEFINITE, UNSYMMETRIC = 2, -2, 11
@@ -167,6 +167,7 @@ class Pardiso:
         if order is not None and self.entries_of_factors > most_entries:
             raise FillsIn
         self._refuse_too_large(len(retained))
+        refuse_late("the stiffness was factorised")
         self.schur = np.zeros((len(retained), len(retained)))
         self._factorise()
 

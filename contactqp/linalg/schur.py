@@ -37,7 +37,7 @@ from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, Pardiso, available
-from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root
+from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
@@ -127,6 +127,7 @@ def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
     from scipy.sparse.linalg import splu
 
     for lift in (0.0, LIFT * matrix.shape[0]):
+        refuse_late("the stiffness was factorised")
         added = np.where(np.arange(matrix.shape[0]) < interior, lift, SPRING)
         try:
             factor = splu(sp.csc_matrix(matrix + sp.diags(added)), permc_spec="NATURAL", **DIAGONAL_PIVOTS)

@@ -390,6 +390,7 @@ def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, ef
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     key = closed.tobytes(), regularisation
     if key not in kept:
+        refuse_late("another set of closed contacts was solved for")
         kept.clear()
         kept[key] = SparseSaddle(problem, np.flatnonzero(closed), regularisation)
         effort.factorisations += 1
@@ -465,7 +466,6 @@ def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedS
     for _ in range(BLOCKING):
         if driven.force_residual <= BALANCED or driven.length_residual > NEARLY_MET or effort.exhausted():
             break
-        refuse_late("contacts close that a driven motion reaches")
         force, gaps, ties = driven.left.double(np.flatnonzero(driven.closed))
         saddle = kept_saddle(problem, driven.closed, REGULARISATIONS[0], effort)
         rate = problem.normal @ saddle.solve(force, 0.0 * gaps, 0.0 * ties)[0]

@@ -386,6 +386,29 @@ def _ending(end: tuple[float, float] | None) -> Iterator[None]:
         _END.reset(token)
 
 
+# The time limit of the call that ran out of time before it had the answer that is certified; None where none did.
+_UNFINISHED: ContextVar[float | None] = ContextVar("the time limit that has cut an answer short", default=None)
+
+
+@contextmanager
+def unfinished() -> Iterator[None]:
+    """Tell the certificate, inside the block, that the time was up before the method had an answer.
+
+    Its bounds then take as long again at most, and searches for the right answer are left out.
+    """
+    end = _END.get()
+    token = _UNFINISHED.set(None if end is None else end[1])
+    try:
+        yield
+    finally:
+        _UNFINISHED.reset(token)
+
+
+def seconds_of_unfinished() -> float | None:
+    """Return the time limit that was over before the answer that is certified was found, else None."""
+    return _UNFINISHED.get()
+
+
 def seconds_left() -> float | None:
     """Return the seconds until the running call has to end, at least a microsecond; None without a limit."""
     end = _END.get()

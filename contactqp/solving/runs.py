@@ -10,7 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -48,6 +48,8 @@ from contactqp.model.arrays import (
     own_floating_point,
     refuse_late,
     stage,
+    time_is_up,
+    unfinished,
     zero_beneath,
 )
 from contactqp.model.names import describe_motion
@@ -158,7 +160,8 @@ class Run(ABC):
         """Return the solution; raise where the method did not converge or the certificate refuses an exact method."""
         candidate, name = self.candidate, self.name
         if not polished and not candidate.claimed:
-            self.refuse_conflict()
+            if not time_is_up():
+                self.refuse_conflict()
             reason = candidate.status or "it stopped before it had an answer"
             count = "" if candidate.iterations is None else f" (after {candidate.iterations} iterations)"
             raise NotConverged(f"{name}: {reason.removeprefix(f'{name}: ')}{count}", candidate.history, solution)
@@ -180,7 +183,8 @@ class Run(ABC):
                 friction = np.zeros_like(problem.slip_origin)
             answered = time.perf_counter()
             answer = Answer(final.displacement, final.normal_force, friction, final.tie_force)
-            certificate = certificate_of(problem, answer)
+            with nullcontext() if final.polished or candidate.claimed or not time_is_up() else unfinished():
+                certificate = certificate_of(problem, answer)
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
             raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None

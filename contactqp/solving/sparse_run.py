@@ -33,7 +33,17 @@ from contactqp.linalg.sparse_saddle import (
     ClosedState,
     Effort,
 )
-from contactqp.model.arrays import METHOD, all_finite, on_one_thread, one_blas_thread, refuse_late, stage, tell
+from contactqp.model.arrays import (
+    METHOD,
+    all_finite,
+    in_any_time,
+    on_one_thread,
+    one_blas_thread,
+    refuse_late,
+    stage,
+    tell,
+    time_is_up,
+)
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings, find
@@ -96,6 +106,7 @@ class SparseRun(Run):
         self._state: ClosedState | None = None
         self._settings = settings
         self._looked_for_overlap = False
+        self._last: Candidate | None = None  # the answer that was looked at last
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
         refuse_late(f"{method.name} began")
@@ -112,16 +123,25 @@ class SparseRun(Run):
     def _identified(self, settings: Settings) -> Candidate:
         """Return the answer of the first backend whose closed contacts lead to a solution in the last digits.
 
-        Where none does, it is that of the backend with the least residuals. Where many changes of the set lead from
-        one answer to no solution, the next is asked for first.
+        Where the time is up before one does, it is the last that was looked at.
+        """
+        try:
+            return self._settled(settings) if self.problem.contacts else self._linear()
+        except NotConverged as error:
+            if self._last is None or not time_is_up():
+                raise
+            return replace(self._last, claimed=False, status=str(error))
+
+    def _settled(self, settings: Settings) -> Candidate:
+        """Return the candidate whose closed contacts lead to a solution.
+
+        Where many changes of the set lead from one answer to no solution, the next is asked for first.
         """
         tried: list[str] = []
-        if not self.problem.contacts:
-            return self._linear()
         best: Candidate | None = None
         failed: list[Candidate] = []
         for found in self._candidates(settings, tried):
-            before = self._state
+            before, self._last = self._state, found
             if not found.claimed:
                 refuse_ray(self.problem, self._scaling.scale(found))
             state = self._settle(found)
@@ -159,14 +179,17 @@ class SparseRun(Run):
             order = [other for other in order if other[2] != BALANCED_UNITS]
         while order:
             name, tolerance, units = order.pop(0)
+            refuse_late(f"{name} began")
             tell(f"{name} finds the closed contacts")
             options = OF_TWINS if units != OWN and name == "clarabel" else {}
-            given = Settings(tolerance, steps, settings.time_limit, None, options)
             twin, scaling = self._twin, self._scaling
             if units == BALANCED_UNITS:
                 twin, scaling = balanced(self.problem)
             try:
-                found = find(name).solve(self.problem if units == OWN else twin, given)
+                method = find(name)
+                limit = settings.now.time_limit if method.timed else None  # each step of those that have none is short
+                given = Settings(tolerance, steps, limit, None, options)
+                found = method.solve(self.problem if units == OWN else twin, given)
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
             else:
@@ -179,7 +202,7 @@ class SparseRun(Run):
             yield from waiting
         if self._state is None:
             try:
-                yield find(LAST).solve(self.problem, Settings(1e-9, None, settings.time_limit or LONGEST, None, {}))
+                yield find(LAST).solve(self.problem, Settings(1e-9, None, settings.now.time_limit or LONGEST, None, {}))
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
 
@@ -210,6 +233,7 @@ class SparseRun(Run):
         options = dict(self._settings.options) or (OF_TWINS if self.name == "clarabel" else {})
         units = [(self._twin, self._scaling)] + [balanced(self.problem)] * mostly_bare(self.problem)
         for twin, scaling in units:
+            refuse_late(f"{self.name} was asked for a nearer answer")
             given = Settings(NEARER, None, self._settings.now.time_limit, None, options)
             try:
                 found = scaling.unscale(self.method.solve(twin, given))
@@ -224,20 +248,29 @@ class SparseRun(Run):
     def final(self) -> Final:
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
         if self._state is None and self.polish and self.method.polish and all_finite(self.candidate):
-            self._settle(self.candidate)
-            if self._state is None and not self._settings.max_iter:
-                self._ask_again()
-        if self._state is None and not self.candidate.claimed:
+            self._polish_in_time()
+        if self._state is None and not self.candidate.claimed and not time_is_up():
             self._refuse_overlap()
         if self._state is None:
             found = self.candidate
             return Final(found.displacement, found.normal_force, found.tie_force)
         if presses(self._state) and not unique_on(self._state).forces:
-            self._state = with_least_forces(self._state, self._effort)
+            with in_any_time():  # the problem is solved, and this takes little beside that
+                self._state = with_least_forces(self._state, self._effort)
         given = _candidate(self._state)
         remember(self._state, Answer(given.displacement, given.normal_force, None, given.tie_force))
         found = self._scaling.unscale(given)
         return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
+
+    def _polish_in_time(self) -> None:
+        """Settle the closed contacts of a backend's answer, or of a nearer one; leave it as it is when time is up."""
+        try:
+            self._settle(self.candidate)
+            if self._state is None and not self._settings.max_iter:
+                self._ask_again()
+        except NotConverged:
+            if not time_is_up():
+                raise
 
     def _at_rest(self, final: Final) -> Final:
         """Return the answer with its free motions at rest and listed, where the certificate condenses the problem."""

@@ -207,7 +207,7 @@ def test_a_limit_of_time_ends_the_search_for_what_closes(monkeypatch: pytest.Mon
         raise cq.NotConverged(f"stopped at the time limit, before {what}")
 
     monkeypatch.setattr(sparse_saddle, "refuse_late", late)
-    with pytest.raises(cq.NotConverged, match="before contacts close that a driven motion reaches"):
+    with pytest.raises(cq.NotConverged, match="before another set of closed contacts was solved for"):
         reached(in_one_unknown(1.0, [3.0, 1.0, 2.0]), [0], driven=False)
 
 

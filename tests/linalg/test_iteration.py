@@ -153,8 +153,12 @@ def test_who_stops_too_early_says_so_and_hands_over_what_there_is(monkeypatch):
     assert caught.value.solution is not None
     assert not caught.value.solution.certificate.passed
     assert caught.value.history
-    with pytest.raises(cq.NotConverged, match="the time limit is reached"):
+    with pytest.raises(cq.NotConverged, match="before the hierarchy of the stiffness was built"):
         cq.solve(on_paraboloid(), time_limit=1e-9)
+    problem = on_paraboloid()
+    iteration(problem)
+    with pytest.raises(cq.NotConverged, match="the time limit is reached"):
+        cq.solve(problem, time_limit=1e-9)
     monkeypatch.setattr(inexact_active_set, "STEPS", 3)
     with pytest.raises(cq.NotConverged, match="did not converge in 3 steps"):
         cq.solve(on_paraboloid())

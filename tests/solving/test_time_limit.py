@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate import certificate
-from contactqp.linalg import condensation
+from contactqp.certificate import certificate, energy_bounds
+from contactqp.certificate.state_answer import OUT_OF_TIME
+from contactqp.linalg import condensation, dense, multigrid, pardiso, schur
+from contactqp.linalg.factorization import factorise
+from contactqp.linalg.pardiso import CHOICE
 from contactqp.model import arrays
+from contactqp.model.solution import Answer
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.solving.friction.problems import rough_truss
 from tests.solving.friction.space import block
 
+CHAIN = sp.diags([-1.0, 3.0, -1.0], [-1, 0, 1], shape=(2 * dense.BLOCK, 2 * dense.BLOCK), format="csr")
+NONE = np.zeros(0, dtype=np.intp)
 PROBLEMS = {"frictionless": on_paraboloid((5, 5, 3)), "plane": rough_truss(), "space": block([1.0, 0.0])}
 
 
@@ -68,3 +77,92 @@ def test_an_earlier_end_stays_within_a_later_one() -> None:
         arrays.refuse_late("more")
     arrays.refuse_late("more")
     assert arrays.seconds_left() is None
+
+
+NOTHING_BEGUN = {
+    "factorised": (lambda: pardiso.Pardiso(CHAIN, NONE), "the stiffness was factorised"),
+    "eliminated": (lambda: schur.TrailingBlock(CHAIN, np.array([0])), "the stiffness was factorised"),
+    "substituted": (
+        lambda: dense.BackSubstitution(CHAIN, np.arange(dense.BLOCK + 1), factorise),
+        "the stiffness was condensed",
+    ),
+    "coarsened": (lambda: multigrid.Hierarchy(CHAIN), "the hierarchy of the stiffness was built"),
+}
+
+
+@pytest.mark.parametrize("what", NOTHING_BEGUN)
+def test_no_phase_of_a_factorisation_or_a_hierarchy_begins_late(what: str) -> None:
+    make, message = NOTHING_BEGUN[what]
+    if (what == "factorised" and not pardiso.available()) or (what == "coarsened" and not multigrid.available()):
+        pytest.skip("needs pypardiso or pyamg")
+    make()
+    with arrays.within_time(1e-9), pytest.raises(cq.NotConverged, match=f"before {message}"):
+        make()
+
+
+def late_at(words: str, seconds: float) -> Callable[[str], None]:
+    """Return what is told of progress and lets this time pass when a stage of these words begins."""
+
+    def told(where: str) -> None:
+        if where.startswith(words):
+            time.sleep(seconds)
+
+    return told
+
+
+@pytest.mark.slow
+def test_an_answer_of_a_backend_that_was_not_settled_in_time_is_returned_with_its_error() -> None:
+    problem = fresh(on_paraboloid((5, 5, 3)))
+    truth = cq.solve(problem, condense=False)
+    settle = late_at("sparse systems settle", 1.0)
+    with pytest.raises(cq.NotConverged, match="before another set of closed contacts was solved for") as caught:
+        cq.solve(fresh(problem), condense=False, time_limit=1.0, progress=settle)
+    found = caught.value.solution
+    error = found.displacement - truth.displacement
+    energy = float(np.sqrt(error @ (problem.stiffness @ error)))
+    strained = float(np.sqrt(truth.displacement @ (problem.stiffness @ truth.displacement)))
+    assert found.certificate.energy_error is not None
+    assert 0 < energy / strained <= (1 + 1e-6) * found.certificate.energy_error < 1e-2
+
+
+def test_bounds_of_an_unfinished_answer_take_as_long_again_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    settled, problem = energy_bounds.solved_from, fresh(on_paraboloid((3, 3, 2)))
+    answer = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
+
+    def slowly(*arguments: Any, **options: Any) -> Any:
+        time.sleep(0.1)
+        return settled(*arguments, **options)
+
+    with arrays.within_time(60.0), arrays.unfinished(), arrays.in_any_time():
+        assert energy_bounds.energy_bounds(problem, answer).energy_error is not None
+    monkeypatch.setattr(energy_bounds, "solved_from", slowly)
+    with arrays.within_time(0.05), arrays.unfinished(), arrays.in_any_time():
+        bounds = energy_bounds.energy_bounds(fresh(problem), answer)
+    assert bounds.energy_error is None
+    assert energy_bounds.OUT_OF_TIME in str(bounds.reasons)
+
+
+def test_a_backend_without_a_time_limit_is_asked_all_the_same() -> None:
+    """PIQP has none; where it finds the closed contacts of bounds alone its answer was lost with one."""
+    told: list[str] = []
+    K = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(40, 40), format="csr")
+    membrane = cq.ContactProblem(K, -np.ones(40), -sp.identity(40, format="csr"), np.full(40, 3.0))
+    solution = cq.solve(membrane, condense=False, time_limit=60.0, progress=told.append)
+    finders = [one for one in told if one.endswith("finds the closed contacts")]
+    assert solution.certificate.proven
+    assert finders == ["piqp finds the closed contacts"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
+def test_friction_that_is_cut_short_is_not_compared_with_its_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answer so far comes at once; it does not pass whatever its figures are."""
+    monkeypatch.setenv(CHOICE, "pyamg")
+    problem = fresh(on_paraboloid((6, 6, 4), friction=0.3))
+    assert cq.solve(problem).certificate.passed
+    with pytest.raises(cq.NotConverged, match="time limit") as caught:
+        cq.solve(fresh(problem), time_limit=2.0, progress=late_at("combination 2", 2.0))
+    found = caught.value.solution
+    assert found.normal_force.max() > 0
+    assert not found.certificate.passed
+    assert any(OUT_OF_TIME in failure for failure in found.certificate.failures)

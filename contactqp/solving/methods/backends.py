@@ -421,6 +421,7 @@ def method_of(backend: Backend) -> Method:
         scale=True,
         semidefinite=backend.semidefinite,
         sparse=backend.sparse,
+        timed=backend.time_limit is not None,
         knob="tolerance",
         packages=("qpsolvers", backend.package),
         install=backend.install,

@@ -56,6 +56,7 @@ class Method:
     scale: bool = False  # wants a nondimensional problem
     semidefinite: bool = True  # accepts a singular stiffness (bodies held by contact alone)
     sparse: bool = True  # works on sparse matrices without making them dense
+    timed: bool = True  # takes a time limit
     options: tuple[str, ...] = ()  # keyword arguments of its own
     required: tuple[str, ...] = ()  # those that have no default
     knob: str | None = None  # what trades error for time: "tolerance", "penalty", "perturbation"
