@@ -183,8 +183,7 @@ def too_many(problem: ContactProblem, condensation: Condensation | None = None, 
 
 def condensed_to_prove(problem: ContactProblem) -> tuple[Condensation | None, str]:
     """Return the condensation that bounds with friction take where sparse systems cost less, or why there is none."""
-    if (reason := too_many(problem, nearby=True)) is None and not problem.diagonal.all():
-        reason = WITHOUT_STIFFNESS
+    reason = too_many(problem, nearby=True)
     return (condense(problem), "") if reason is None else (None, f"friction: {reason}")
 
 

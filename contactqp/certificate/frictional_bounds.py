@@ -42,11 +42,19 @@ states L is in, with a kappa of its own: where that is below 1 one equilibrium a
 W' being positive definite, forces with given friction bounds are unique, no larger than |q|, and continuous in the
 bounds (Brouwer); it is no further than (5) says times the largest |T d|_W / |d|_H, which is less than r.
 
-A body that contacts alone hold has no W. Nearer than r then means in the norm of M = S + A'A + Z Z' on the retained
-unknowns, in which springs hold the rigid motions Z (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with
-w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties B, which balance on Z, satisfy
-y'B M^-1 B'y <= y'B S^+ B'y = |v|_K^2, so that V_i^2 = ((B M^-1 B')^-1)_ii bounds them. As S_jj <= K_jj, |v|_M is at
-most the norm of v'Kv + sum K_jj v_j^2, in which `radius` is then stated.
+In the plane, with few contacts, the only equilibrium nearby is the only one where the determinants of all combinations
+have one sign (`critical_friction`): `scope` is then "global", too.
+
+A body that contacts alone hold has no W. Differences d balance on it, and (1) to (5) hold with the W, norms and kappa
+of `force_norms.BalancedForces`, w being moved rigidly such that rows that balance settles miss nothing. Contacts that
+keep their states by more than the bound that follows do so in every answer; where they say where bodies are, it is
+"global". One is there where no rigid motion moves contacts along tangents with friction, since balance then leaves
+normal forces whatever the bounds of friction are (Kakutani), and where the answer has a margin. Otherwise nearer than r
+means in the norm of M = S + A'A + Z Z' on the retained unknowns, in which springs hold the rigid motions Z
+(`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties
+B, which balance on Z, satisfy y'B M^-1 B'y <= y'B S^+ B'y = |v|_K^2, so that V_i^2 = ((B M^-1 B')^-1)_ii bounds them.
+As S_jj <= K_jj, |v|_M is at most the norm of v'Kv + sum K_jj v_j^2, in which
+`radius` is then stated, smaller by what that does not see of unknowns without stiffness (`part_that_is_seen`).
 
 Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
 and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors. It is an a-posteriori
@@ -62,7 +70,6 @@ import numpy as np
 from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
 from contactqp.certificate.coulomb_law import onto_discs
 from contactqp.certificate.critical_friction import (
-    MOST_CONTACTS,
     MOST_UNKNOWNS,
     WITHOUT_STIFFNESS,
     Eliminated,
@@ -72,18 +79,22 @@ from contactqp.certificate.critical_friction import (
     eliminated,
     felt_rows,
     inverse_of_lower,
-    of_operator,
     slips_nearby,
     too_many,
 )
-from contactqp.certificate.state_bodies import (
-    Compared,
+from contactqp.certificate.force_norms import (
+    BalancedForces,
     ForceNorms,
     RefinedLengths,
-    largest_eigenvalues,
+    balanced_forces,
+    norms_of_all_rows,
+    norms_of_skew,
+    part_that_is_seen,
     refined_lengths,
     refined_local_lengths,
+    rigid_uncertainty,
 )
+from contactqp.certificate.state_bodies import Compared
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import (
     ContactCompliance,
@@ -118,16 +129,14 @@ def frictional_bounds(
 
     Parameters
     ----------
-    problem, condensation, answer : ContactProblem, its Condensation, Answer
-    compared : Compared, with the refined answer of the combination
+    problem, condensation, answer : the problem, its condensation, and what is judged
+    compared : with the refined answer of the combination
     """
     found = _proven(problem, condensation, answer, compared)
     return no_bounds(f"friction: {found}") if isinstance(found, str) else found
 
 
 def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared) -> Bounds | str:
-    if not np.all(problem.diagonal > 0):
-        return WITHOUT_STIFFNESS
     if (reason := too_many(problem, condensation, nearby=True)) is not None:
         return reason
     others = too_many(problem, condensation)  # why other equilibria far away are not excluded
@@ -145,8 +154,32 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
         if norms is not None and kappa < 1:
             error = _distance(refined, norms, compared.status, _coefficient(problem, compared), kappa)
             return _bounds(problem, answer, compared, norms, compliance, error)
+    elif others is None:
+        balanced = balanced_forces(compliance, _coefficient(problem, compared), refined, condensation.lost_digits)
+        if balanced is not None and (found := _balanced_distance(problem, compared, refined, balanced)) is not None:
+            return _bounds(problem, answer, compared, balanced.norms, compliance, found)
+    unique = others is None and critical(problem, condensation).unique
     others = others or (FLOATS if compliance.floats else f"kappa = {kappa:.3g}")
-    return _proven_nearby(problem, condensation, answer, compared, refined, others)
+    nearby = _proven_nearby(problem, condensation, answer, compared, refined, others)
+    return nearby if isinstance(nearby, str) or not unique else replace(nearby, scope=GLOBALLY, radius=None)
+
+
+def _balanced_distance(
+    problem: ContactProblem, compared: Compared, refined: RefinedLengths, balanced: BalancedForces
+) -> float | None:
+    """Bound |d|_W where contacts alone hold bodies; None where kappa is not below one, or bodies may be elsewhere.
+
+    Contacts whose forces keep their state by more than the bound do so in every answer, and say where bodies are.
+    """
+    mu, norms = _coefficient(problem, compared), balanced.norms
+    if not balanced.kappa < 1:
+        return None
+    error = _distance(refined, norms, compared.status, mu, balanced.kappa, (balanced.gap, balanced.slip))
+    closed = refined.normal > error * norms.normal_force
+    room = mu * refined.normal - lengths(refined.friction)
+    sticks = closed & (room > error * (mu * norms.normal_force + norms.tangential_force))
+    exists = balanced.always or _margin(refined, norms, compared.status, mu) > error
+    return error if exists and balanced.settled_by(closed, sticks) else None
 
 
 def _proven_nearby(
@@ -169,9 +202,11 @@ def _proven_nearby(
     if norms is None:
         return ROWS_DEPEND
     others = f"other equilibria are not excluded ({others})"
-    uncertain, apart = refined.correction, 0.0
+    uncertain, apart, seen = refined.correction, 0.0, 1.0
     if compliance.floats:
-        uncertain += _rigid_rounding(compliance, compared, refined, mu)
+        if not (seen := part_that_is_seen(problem, condensation, mu, refined)):
+            return WITHOUT_STIFFNESS
+        uncertain += rigid_uncertainty(compliance, compared.status, refined, mu)
         moved = (extend(answer.displacement) - compared.refined.displacement).double()
         apart = float(np.sqrt(problem.diagonal @ moved**2))
     margin = _margin(refined, norms, compared.status, mu) - uncertain
@@ -179,7 +214,7 @@ def _proven_nearby(
     near = _nearest(slips, refined, norms, 2 * compared.last + uncertain, margin)
     if isinstance(near, float):
         return f"{others}, nor others nearby ({near:.3g})"
-    error, reach = near
+    error, reach = near[0], near[1] * float(np.sqrt(seen))
     around = max(float(np.hypot(compared.displacement, apart)), compared.force) + error
     radius = reach - around
     if not radius > around:
@@ -251,7 +286,7 @@ def _at_borders(
         return None
     none = np.zeros((len(found.W), 0))
     half = ContactOperators((found.W + found.W.T) / 2, none, none[:0], compliance.scale[law], 0)
-    own, kappa = _of_skew(half, found.W, mu[law], lost_digits * found.growth)
+    own, kappa = norms_of_skew(half, found.W, mu[law], lost_digits * found.growth)
     if own is None or not kappa < 1:
         return None
     error = _error_at_borders(compliance.W, (norms, own), refined, found, (status, mu, law), kappa)
@@ -301,29 +336,34 @@ def _error_at_borders(
     return (1 + own.allowance) * grown * distance + float(left) + refined.correction
 
 
-def _rigid_rounding(compliance: ContactCompliance, compared: Compared, refined: RefinedLengths, mu: Vector) -> float:
-    """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies."""
-    closed, sticks = compared.status != OPEN, (compared.status == STICK) & (mu > 0)
-    moved, tied = compliance.on_rigid_motions()
-    moved = moved.reshape(len(mu), -1, moved.shape[1])
-    held = np.vstack([moved[closed, 0], moved[sticks, 1:].reshape(-1, moved.shape[2]), tied])
-    missed = np.concatenate([refined.gap[closed], refined.slip[sticks].ravel()])
-    return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
+def _distance(
+    refined: RefinedLengths,
+    norms: ForceNorms,
+    status: Status,
+    mu: Vector,
+    kappa: float,
+    uncertain: tuple[Vector, Vector] | None = None,
+) -> float:
+    """Bound |d|_W from the refined forces to those of any equilibrium, by (5), and add |u - w|_K.
 
-
-def _distance(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector, kappa: float) -> float:
-    """Bound |d|_W from the refined forces to those of any equilibrium, by (5), and add |u - w|_K."""
+    Parameters
+    ----------
+    refined, norms, kappa : forces and lengths, the norms of differences, and Necas's constant
+    status, mu : states and coefficients (m,)
+    uncertain : by which gaps and slips (m,) may be off; what the correction makes of them unless given
+    """
     more = refined.correction
+    off_gap, off_slip = (more * norms.gap, more * norms.slip) if uncertain is None else uncertain
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
     held = np.where(closed, np.maximum(refined.normal, 0.0), 0.0)  # h_N
     tension = abs(refined.normal - held)
     gap = np.where(closed, abs(refined.gap), np.maximum(-refined.gap, 0.0))
-    gap = np.where(closed | (refined.gap < more * norms.gap), gap + more * norms.gap, 0.0)  # t
+    gap = np.where(closed | (refined.gap < off_gap), gap + off_gap, 0.0)  # t
     bound = mu * held
-    moved = np.maximum(lengths(refined.slip) - more * norms.slip, 0.0)
-    still = lengths(refined.slip) + more * norms.slip
+    moved = np.maximum(lengths(refined.slip) - off_slip, 0.0)
+    still = lengths(refined.slip) + off_slip
     # Slipping: h_T along the slip, whose direction is known to what its rounding turns it by.
-    turned = np.divide(2 * more * norms.slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
+    turned = np.divide(2 * off_slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
     along = lengths(refined.friction - bound[:, None] * directions(refined.slip)) + bound * np.minimum(turned, 2.0)
     # Sticking: h_T the nearest point of the disc, and what slips is counted.
     within = lengths(refined.friction - onto_discs(refined.friction, bound))
@@ -335,7 +375,7 @@ def _distance(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Ve
     b = np.sum(
         norms.normal_force * (gap + mu * slip)
         + norms.tangential_force * slip
-        + tension * (norms.gap + mu * norms.slip)
+        + tension * (np.where(tension > 0, norms.gap, 0.0) + mu * norms.slip)
         + off * norms.slip
     )
     c = np.sum(tension * (gap + mu * slip) + off * slip)
@@ -432,7 +472,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         return "no answer of its own states is near whose forces are unique"
     refined, apart, last, size = refined_local_lengths(problem, force, found)
     skew = problem.scaled_asymmetry > SYMMETRIC
-    norms, kappa = _of_skew(compliance, W, mu) if skew else _of_all_rows(compliance, problem)
+    norms, kappa = norms_of_skew(compliance, W, mu) if skew else norms_of_all_rows(compliance, problem)
     scope, radius = GLOBALLY, None
     if norms is not None and kappa < 1:
         error = _distance(refined, norms, status, mu, kappa)
@@ -458,37 +498,3 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     least_size = size - error if size > error else 1.0
     off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
     return LocalBounds((apart + error) / least_size, off + error * norms.force / compliance.scale, scope, radius)
-
-
-def _of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[ForceNorms | None, float]:
-    """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
-    if problem.contacts > MOST_CONTACTS:
-        return None, np.inf
-    norms = ForceNorms.of(compliance, 0.0, felt_rows(compliance))
-    if norms is None:
-        return None, np.inf
-    kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa
-    return norms, kappa * (1 + norms.allowance)
-
-
-def _of_skew(
-    compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0
-) -> tuple[ForceNorms | None, float]:
-    """Return the same of an operator W that is not symmetric, by its symmetric part H.
-
-    |(Wd)_i| <= w_i |d|_H with w_i^2 the largest eigenvalue of (W H^-1 W')_ii, and for any c_i > 0
-
-        sum mu_i |d_N,i| |(Wd)_T,i| <= 1/2 sum mu_i (c_i d_N,i^2 + |(Wd)_T,i|^2 / c_i) <= kappa |d|_H^2.
-    """
-    m, d = len(mu), len(W) // len(mu)
-    norms = ForceNorms.of(compliance, lost_digits, np.ones((m, d), dtype=bool))
-    if norms is None:
-        return None, np.inf
-    half = np.linalg.inv(np.linalg.cholesky(compliance.W))
-    felt, more = (W @ half.T).reshape(m, d, -1), 1 + norms.allowance
-    own = felt @ felt.swapaxes(1, 2)
-    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:]))
-    weight = np.where(slip > 0, slip, 1.0) / norms.normal_force
-    pushed, slid = half.T.reshape(m, d, -1)[:, 0], felt[:, 1:].reshape(m * (d - 1), -1)
-    square = pushed.T @ ((mu * weight)[:, None] * pushed) + slid.T @ (np.repeat(mu / weight, d - 1)[:, None] * slid)
-    return replace(norms, gap=gap, slip=slip), more * float(np.linalg.eigvalsh(square)[-1]) / 2

@@ -14,21 +14,18 @@ import numpy as np
 
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import error_bounds, failed_errors, fails_force_bound
-from contactqp.certificate.critical_friction import inverse_of_lower
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response, rigid_rounding
+from contactqp.certificate.figures import energy_norm, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
-from contactqp.linalg.delassus import ContactCompliance, ContactOperators, RefinedForces
-from contactqp.linalg.extended import EPS, extend, extended_rows, residuals
+from contactqp.linalg.extended import extend, residuals
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
 from contactqp.linalg.measures import row_sizes
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
-from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES_ALONE, Answer
 
@@ -37,14 +34,10 @@ if TYPE_CHECKING:
 
 # Equilibrium at every unknown that the answer of a combination that is iterated on is asked for.
 ROUNDING_OF_FIGURES = 1e-10
-# Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
-TOO_ROUNDED = 1e-2
 # A turn of slip directions that changes the displacement by this part of its energy norm is the last.
 SETTLED_TURN = 1e-10
 # Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
 MOST_COMPARING = 150
-# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
-UNMET = 1e-22
 # After so many of them an answer is told that is this far from that of its combination, in energy norm: more digits of
 # the distance would change no verdict.
 STEPS_TO_TELL, FAR_APART = 12, 1e-4
@@ -283,118 +276,3 @@ def with_friction_held(
         worst = int(np.argmax(bounds.relative_force_bound))
         failures += (f"with friction held, {messages.of_force_bound(problem, answer, bounds, worst, tolerance)}",)
     return replace(figures_alone(reason), energy=bounds.energy_scale, failures=failures)
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedLengths:
-    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
-
-    normal: Vector  # (m,) l_N
-    friction: Array  # (m, d-1) l_T
-    gap: Vector  # (m,) of w
-    slip: Array  # (m, d-1) of w
-    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
-
-
-def refined_lengths(
-    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
-) -> RefinedLengths | None:
-    """Return the response w to the refined forces, one more correction away, with its gaps and slips.
-
-    None where ties are left unmet.
-
-    Parameters
-    ----------
-    problem, condensation, compliance : the ContactProblem, its Condensation, and the operators of its contacts
-    compared : what the answer was compared with, whose refined answer is taken
-    """
-    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
-    u, force, friction = found.displacement, found.normal_force, found.friction_force
-    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
-    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
-    if np.any(missed > UNMET * size):
-        return None
-    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
-    left = left - rows.friction_force(friction)
-    step, error = response(problem, condensation, left, tied=problem.ties > 0)
-    moved = u + step
-    correction = 2 * energy_norm(problem, step)[0] + error
-    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
-    gap = (extend(problem.gap) - rows.normal @ moved).double()
-    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
-    scale = compliance.scale
-    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
-    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
-
-
-@dataclass(frozen=True, eq=False)
-class ForceNorms:
-    """The largest force, gap and slip of each contact (m,) for |d|_W = 1, in the scale of the compliance."""
-
-    normal_force: Vector
-    tangential_force: Vector
-    force: Vector  # of the whole vector
-    gap: Vector  # of (W d)_N
-    slip: Vector  # of (W d)_T
-
-    allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
-
-    @staticmethod
-    def of(compliance: ContactOperators, lost_digits: float, acting: Mask) -> ForceNorms | None:
-        """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
-
-        None where these rows depend on one another, or so nearly that rounding, of which W has `lost_digits`, leaves
-        nothing of their inverse.
-        """
-        contacts, d = acting.shape
-        rows = np.flatnonzero(acting)
-        operator = compliance.operator(rows, compliance.ties)
-        try:
-            factor = np.linalg.cholesky(operator)
-        except np.linalg.LinAlgError:
-            return None
-        pivots = np.diag(factor) ** 2 / np.diag(operator)
-        rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
-        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
-        half = inverse_of_lower(factor)
-        if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
-            return None
-        inverse = np.zeros((contacts * d, contacts * d))
-        inverse[np.ix_(rows, rows)] = (half.T @ half)[: len(rows), : len(rows)]
-        own, response_of = (
-            blocks.reshape(contacts, d, contacts, d)[np.arange(contacts), :, np.arange(contacts), :]
-            for blocks in (inverse, compliance.W)
-        )
-        more = 1 + allowance
-        return ForceNorms(
-            more * np.sqrt(own[:, 0, 0]),
-            more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:])),
-            more * np.sqrt(largest_eigenvalues(own)),
-            more * np.sqrt(response_of[:, 0, 0]),
-            more * np.sqrt(largest_eigenvalues(response_of[:, 1:, 1:])),
-            allowance,
-        )
-
-
-def largest_eigenvalues(blocks: Array) -> Vector:
-    """Return the largest eigenvalue of each of some symmetric blocks (m, d, d), 0 of empty ones."""
-    return np.asarray(np.max(np.linalg.eigvalsh(blocks), axis=1, initial=0.0))
-
-
-def refined_local_lengths(
-    problem: LocalProblem, force: Array, found: RefinedForces
-) -> tuple[RefinedLengths, float, float, float]:
-    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
-    shape, scale = force.shape, problem.contact_scale[:, None]
-    W = problem.scaled_delassus
-
-    def norm(forces: Array) -> float:
-        scaled = (forces.reshape(shape) / scale).ravel()
-        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
-
-    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
-    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
-    correction = float(EPS * np.linalg.norm(meeting))
-    refined = RefinedLengths(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
-    apart = norm((extend(force.ravel()) - found.force).double())
-    return refined, apart, norm(found.last), norm(found.force.double())

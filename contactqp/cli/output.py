@@ -26,7 +26,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from contactqp.errors import InvalidProblem, StartWarning
-from contactqp.model.engines import SERIAL
+from contactqp.linalg.runtime import SERIAL
 
 if TYPE_CHECKING:
     from rich.console import Console

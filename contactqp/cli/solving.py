@@ -28,9 +28,8 @@ from contactqp.cli.output import (
     whereabouts,
 )
 from contactqp.errors import InvalidProblem, NotConverged, StartWarning, Unsupported, warn
-from contactqp.linalg.runtime import cores, import_scipy
+from contactqp.linalg.runtime import ENGINES, SERIAL, cores, import_scipy
 from contactqp.model.arrays import telling, within_time
-from contactqp.model.engines import ENGINES, SERIAL
 
 if TYPE_CHECKING:
     from contactqp.scene.judging import Failure, Judgement

@@ -87,6 +87,12 @@ class ContactCompliance(ContactOperators):
         Z = -self._joints[self.ties :].T
         return self._rows @ Z, self._joints[: self.ties] @ Z
 
+    def that_keep(self, rows: Indices) -> Array:
+        """Return an orthonormal basis (p, q) of scaled displacements which ties and some contact rows hold at zero."""
+        kept = np.vstack([self._rows[rows], self._joints[: self.ties]])
+        _, size, motions = np.linalg.svd(kept)
+        return motions[np.sum(size > FLOATING * np.max(size, initial=0.0)) :].T
+
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
         """Return R x (d m,) under a problem's load without contact forces, and the lengths that joints hold (q,)."""
         load, _ = condensation.reduce_load(problem.load)

@@ -25,7 +25,7 @@ from contactqp.errors import (
     TimeStepWarning,
     Unsupported,
 )
-from contactqp.model.engines import SERIAL, engine_named
+from contactqp.linalg.runtime import SERIAL, engine_named
 from contactqp.model.solution import Solution
 from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import NodeModel

@@ -20,9 +20,9 @@ from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem, SceneError, Unsupported, shown
+from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arguments import checked, is_readable
 from contactqp.model.arrays import READ, STEPS, own_floating_point, stage
-from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.problem import ContactProblem
 from contactqp.scene.blocks import BLOCKS, Frame
 from contactqp.scene.blocks.element import Element

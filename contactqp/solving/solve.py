@@ -40,6 +40,7 @@ from contactqp.linalg.iteration import (
     systems_of,
 )
 from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arrays import (
     METHOD,
     Vector,
@@ -50,7 +51,6 @@ from contactqp.model.arrays import (
     time_is_up,
     within_time,
 )
-from contactqp.model.engines import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Solution, Work

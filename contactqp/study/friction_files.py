@@ -39,8 +39,8 @@ from contactqp.errors import (
 from contactqp.exchange.files import Ledger, naming, write_whole
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_deck, is_of_matrices, is_problem_file, read_problem_with_ledger
+from contactqp.linalg.runtime import SERIAL
 from contactqp.model.arrays import Array, within_time
-from contactqp.model.engines import SERIAL
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution

@@ -98,18 +98,11 @@ def distances(problem: Any, K: Any, u: Any, force: Any, truth: tuple[Rational, l
 
 @pytest.mark.parametrize("problems", [8, pytest.param(40, marks=pytest.mark.slow)])
 def test_no_bound_is_below_the_distance_to_the_exact_answer_in_the_plane(problems: int) -> None:
-    claimed = _bounds_hold(plane_problem, np.random.default_rng(20), problems)
+    claimed = bounds_hold(plane_problem, np.random.default_rng(20), problems)
     assert min(claimed.values()) >= 3 * problems // 4, claimed
 
 
-@pytest.mark.parametrize("problems", [8, pytest.param(150, marks=pytest.mark.slow)])
-def test_no_bound_is_below_the_distance_to_the_exact_answer_of_bodies_that_contacts_alone_hold(problems: int) -> None:
-    claimed = _bounds_hold(floating_problem, np.random.default_rng(22), problems)
-    assert claimed["local"] >= 2 * problems // 3, claimed
-    assert claimed["global"] == 0
-
-
-def _bounds_hold(made: Any, rng: np.random.Generator, problems: int) -> dict[str, int]:
+def bounds_hold(made: Any, rng: np.random.Generator, problems: int) -> dict[str, int]:
     """How many candidates have bounds of either scope, each held against all equilibria in rational numbers."""
     claimed = {"global": 0, "local": 0}
     for _ in range(problems):
@@ -119,9 +112,8 @@ def _bounds_hold(made: Any, rng: np.random.Generator, problems: int) -> dict[str
         except (cq.NoEquilibrium, cq.NotConverged, cq.SeveralEquilibria):
             continue
         K = np.asarray(problem.stiffness)
-        if any(one.continuum for one in known):
-            assert made is floating_problem
-            continue
+        continuum = any(one.continuum for one in known)
+        assert not (continuum and made is plane_problem)
         floats = np.linalg.matrix_rank(K) < len(K)
         norm = K + np.diag(np.diag(K)) if floats else K  # that a radius is stated in
         truths = [numbers(one) for one in known]
@@ -132,8 +124,10 @@ def _bounds_hold(made: Any, rng: np.random.Generator, problems: int) -> dict[str
             found = cq.certify(problem, u, normal, friction, tolerance=1e-5, error_tolerance=1e-4)
             if not found.proven:
                 continue
+            assert found.scope == "local" or (len(truths) == 1 and not continuum)
+            if continuum:
+                continue
             claimed[found.scope] += 1
-            assert found.scope == "local" or len(truths) == 1
             force = np.column_stack([normal, friction])
             apart = [distances(problem, K, u, force, truth) for truth in truths]
             nearest, own = min(apart, key=lambda pair: pair[0])
@@ -223,7 +217,7 @@ def test_slips_that_may_turn_each_other_are_proven_nearby(monkeypatch: pytest.Mo
         return frictional_bounds.replace(seen[-1], kappa=np.inf) if seen[-1].slides.any() else seen[-1]
 
     monkeypatch.setattr(frictional_bounds, "slips_nearby", never_monotone)
-    monkeypatch.setattr(frictional_bounds, "critical", lambda *_: SimpleNamespace(kappa=np.inf))
+    monkeypatch.setattr(frictional_bounds, "critical", lambda *_: SimpleNamespace(kappa=np.inf, unique=False))
     for floating in (False, True):
         test_no_bound_is_below_the_distance_to_the_answer_in_space(floating, 30, 0)
     assert sum(one.slides.any() for one in seen) >= 80

@@ -1,0 +1,409 @@
+"""Norms of contact forces in the energy of the bodies, and the lengths that refined answers have in their scale.
+
+Forces d have the length |d|_W; `ForceNorms` says how large the force, gap and slip of one contact are at most where
+that is one.
+
+Bodies that contacts alone hold have no W: with its joints eliminated as far as they can be, R x = free - W d - V c for
+the contact rows R, c being how far the bodies are moved rigidly, and forces balance where V'd is given. Differences d
+of two answers to one load then have V'd = 0, the energy d'W d, and change the lengths R u by W d + V c. Balance alone
+settles some contacts: where l_N + a.l_T is in the range of V' for some a, its value b follows from the load, and l_N
+>= b / (1 + mu |a|) in every answer. Contacts whose b is positive are closed in all of them, those whose forces follow
+from the load wholly, within the friction bound, stick. Their lengths do not change, which gives c by d as far as V of
+these rows has rank; motions that are left must move no contact with friction along its tangents. `BalancedForces` has
+the norms of forces d that balance, and
+
+    kappa = largest eigenvalue of 1/2 sum mu_i (c_i d_N,i^2 + |e_i|^2 / c_i) by d'W d >= sum mu_i |d_N,i| |e_i| / d'W d
+
+with e = (W d + V c)_T and any c_i > 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from contactqp.certificate.critical_friction import MOST_CONTACTS, felt_rows, inverse_of_lower, of_operator
+from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
+from contactqp.certificate.state_bodies import Compared
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import (
+    FLOATING,
+    ContactCompliance,
+    ContactOperators,
+    RefinedForces,
+    contact_compliance,
+)
+from contactqp.linalg.dense import orthonormal_motions
+from contactqp.linalg.extended import EPS, extend, extended_rows
+from contactqp.linalg.measures import lengths, own_compliance
+from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.coulomb import OPEN, STICK, Status
+from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
+
+# Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
+TOO_ROUNDED = 1e-2
+# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
+UNMET = 1e-22
+# Rows of about unit length that a motion moves by less do not move; those that move by less than the other, hardly.
+NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
+# A combination of forces is determined by balance where so little of it is beyond the range, and positive where it is
+# this part of the largest force.
+DETERMINED, BEYOND_ROUNDING = 1e-11, 1e-9
+# A norm that sees less than this part of a motion is blind.
+SEEN = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedLengths:
+    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
+
+    normal: Vector  # (m,) l_N
+    friction: Array  # (m, d-1) l_T
+    gap: Vector  # (m,) of w
+    slip: Array  # (m, d-1) of w
+    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
+
+
+def refined_lengths(
+    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
+) -> RefinedLengths | None:
+    """Return the response w to the refined forces, one more correction away, with its gaps and slips.
+
+    None where ties are left unmet.
+
+    Parameters
+    ----------
+    problem, condensation, compliance : the ContactProblem, its Condensation, and the operators of its contacts
+    compared : what the answer was compared with, whose refined answer is taken
+    """
+    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
+    u, force, friction = found.displacement, found.normal_force, found.friction_force
+    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
+    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
+    size = size + np.sqrt(own_compliance(problem, problem.tie)) * compared.strain  # both ends may be where they were
+    if np.any(missed > UNMET * size):
+        return None
+    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
+    left = left - rows.friction_force(friction)
+    step, error = response(problem, condensation, left, tied=problem.ties > 0)
+    moved = u + step
+    correction = 2 * energy_norm(problem, step)[0] + error
+    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
+    gap = (extend(problem.gap) - rows.normal @ moved).double()
+    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
+    scale = compliance.scale
+    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
+    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
+
+
+def rigid_uncertainty(compliance: ContactCompliance, status: Status, refined: RefinedLengths, mu: Vector) -> float:
+    """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies.
+
+    Parameters
+    ----------
+    compliance : the operators of the contacts
+    status, mu : their states and coefficients (m,)
+    refined : the refined answer of these states
+    """
+    closed, sticks = status != OPEN, (status == STICK) & (mu > 0)
+    moved, tied = compliance.on_rigid_motions()
+    moved = moved.reshape(len(mu), -1, moved.shape[1])
+    held = np.vstack([moved[closed, 0], moved[sticks, 1:].reshape(-1, moved.shape[2]), tied])
+    missed = np.concatenate([refined.gap[closed], refined.slip[sticks].ravel()])
+    return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
+
+
+@dataclass(frozen=True, eq=False)
+class ForceNorms:
+    """The largest force, gap and slip of each contact (m,) for |d|_W = 1, in the scale of the compliance."""
+
+    normal_force: Vector
+    tangential_force: Vector
+    force: Vector  # of the whole vector
+    gap: Vector  # of (W d)_N
+    slip: Vector  # of (W d)_T
+
+    allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
+
+    @staticmethod
+    def of(compliance: ContactOperators, lost_digits: float, acting: Mask) -> ForceNorms | None:
+        """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
+
+        None where these rows depend on one another, or so nearly that rounding, of which W has `lost_digits`, leaves
+        nothing of their inverse.
+        """
+        contacts, d = acting.shape
+        rows = np.flatnonzero(acting)
+        operator = compliance.operator(rows, compliance.ties)
+        try:
+            factor = np.linalg.cholesky(operator)
+        except np.linalg.LinAlgError:
+            return None
+        pivots = np.diag(factor) ** 2 / np.diag(operator)
+        rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
+        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+        half = inverse_of_lower(factor)
+        if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
+            return None
+        inverse = np.zeros((contacts * d, contacts * d))
+        inverse[np.ix_(rows, rows)] = (half.T @ half)[: len(rows), : len(rows)]
+        own, response_of = (
+            blocks.reshape(contacts, d, contacts, d)[np.arange(contacts), :, np.arange(contacts), :]
+            for blocks in (inverse, compliance.W)
+        )
+        more = 1 + allowance
+        return ForceNorms(
+            more * np.sqrt(own[:, 0, 0]),
+            more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:])),
+            more * np.sqrt(largest_eigenvalues(own)),
+            more * np.sqrt(response_of[:, 0, 0]),
+            more * np.sqrt(largest_eigenvalues(response_of[:, 1:, 1:])),
+            allowance,
+        )
+
+
+def largest_eigenvalues(blocks: Array) -> Vector:
+    """Return the largest eigenvalue of each of some symmetric blocks (m, d, d), 0 of empty ones."""
+    return np.asarray(np.max(np.linalg.eigvalsh(blocks), axis=1, initial=0.0))
+
+
+def refined_local_lengths(
+    problem: LocalProblem, force: Array, found: RefinedForces
+) -> tuple[RefinedLengths, float, float, float]:
+    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
+    shape, scale = force.shape, problem.contact_scale[:, None]
+    W = problem.scaled_delassus
+
+    def norm(forces: Array) -> float:
+        scaled = (forces.reshape(shape) / scale).ravel()
+        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
+
+    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
+    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
+    correction = float(EPS * np.linalg.norm(meeting))
+    refined = RefinedLengths(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
+    apart = norm((extend(force.ravel()) - found.force).double())
+    return refined, apart, norm(found.last), norm(found.force.double())
+
+
+def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[ForceNorms | None, float]:
+    """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
+    if problem.contacts > MOST_CONTACTS:
+        return None, np.inf
+    norms = ForceNorms.of(compliance, 0.0, felt_rows(compliance))
+    if norms is None:
+        return None, np.inf
+    kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa
+    return norms, kappa * (1 + norms.allowance)
+
+
+def norms_of_skew(
+    compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0
+) -> tuple[ForceNorms | None, float]:
+    """Return the same of an operator W that is not symmetric, by its symmetric part H.
+
+    |(Wd)_i| <= w_i |d|_H with w_i^2 the largest eigenvalue of (W H^-1 W')_ii, and for any c_i > 0
+
+        sum mu_i |d_N,i| |(Wd)_T,i| <= 1/2 sum mu_i (c_i d_N,i^2 + |(Wd)_T,i|^2 / c_i) <= kappa |d|_H^2.
+
+    Parameters
+    ----------
+    compliance, W : H, with the scale of the contacts, and the operator (d m, d m)
+    mu : coefficients of friction (m,)
+    lost_digits : by which W is rounded
+    """
+    m, d = len(mu), len(W) // len(mu)
+    norms = ForceNorms.of(compliance, lost_digits, np.ones((m, d), dtype=bool))
+    if norms is None:
+        return None, np.inf
+    half = np.linalg.inv(np.linalg.cholesky(compliance.W))
+    felt, more = (W @ half.T).reshape(m, d, -1), 1 + norms.allowance
+    own = felt @ felt.swapaxes(1, 2)
+    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:]))
+    weight = np.where(slip > 0, slip, 1.0) / norms.normal_force
+    pushed, slid = half.T.reshape(m, d, -1)[:, 0], felt[:, 1:].reshape(m * (d - 1), -1)
+    square = pushed.T @ ((mu * weight)[:, None] * pushed) + slid.T @ (np.repeat(mu / weight, d - 1)[:, None] * slid)
+    return replace(norms, gap=gap, slip=slip), more * float(np.linalg.eigvalsh(square)[-1]) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedForces:
+    """What differences of forces do that balance on bodies which contacts alone hold."""
+
+    norms: ForceNorms  # a gap that rigid motions change freely is infinite
+    kappa: float
+    gap: Vector  # (m,) by which gaps of the refined answer may be off
+    slip: Vector  # (m,) the same of its slips
+    moved: Array  # (m, d, r) gaps and slips of a unit of each rigid motion
+    motions: int  # those that move bodies
+    always: bool  # no motion moves a contact along tangents with friction: an equilibrium exists
+
+    def settled_by(self, closed: Mask, sticks: Mask) -> bool:
+        """Return whether no rigid motion leaves the gaps of some contacts (m,) and the slips of others as they are."""
+        rows = np.vstack([self.moved[closed, 0], self.moved[sticks, 1:].reshape(-1, self.moved.shape[2])])
+        return len(rows) >= self.motions and int(np.linalg.matrix_rank(rows, HARDLY_MOVED)) == self.motions
+
+
+def balanced_forces(
+    compliance: ContactOperators, mu: Vector, refined: RefinedLengths, lost_digits: float
+) -> BalancedForces | None:
+    """Return the norms of differences of forces that balance, and kappa.
+
+    None where contact rows depend on one another, where a motion along which a contact has friction is not settled by
+    balance, and where rounding leaves too little of this.
+
+    Parameters
+    ----------
+    compliance : the operators of the contacts
+    mu, refined : coefficients of friction (m,), and the refined answer, whose forces balance
+    lost_digits : by which W is rounded
+    """
+    W, V, motions = _rigid_lengths(compliance)
+    m, n = len(mu), len(W)
+    acting = _with_friction(compliance, mu)
+    rows = np.flatnonzero(acting)
+    if (U := _in_balance(V[rows])) is None:
+        return None
+    held = _settled_by_balance(U, rows, mu, refined)
+    carried, left = _carried(V, held)
+    free = abs(left).max(axis=1, initial=0.0).reshape(m, -1) > NOT_MOVED
+    basis = np.linalg.qr(U, mode="complete")[0][:, U.shape[1] :]  # of forces that balance
+    factored = _half_inverse(basis, W[np.ix_(rows, rows)], lost_digits)
+    if np.any(free[:, 1:] & (mu > 0)[:, None]) or factored is None:
+        return None
+    force, allowance = np.zeros((n, basis.shape[1])), factored[1]
+    force[rows] = basis @ factored[0]
+    length = (W - carried @ W[held]) @ force
+    own = np.sqrt(W.diagonal()) * refined.correction
+    missed = abs(np.column_stack([refined.gap, refined.slip]).ravel()[held]) + own[held]
+    uncertain = (own + abs(carried) @ missed).reshape(m, -1)
+    d, e = (one.reshape(*acting.shape, basis.shape[1]) for one in (force, length))
+    sizes = [np.linalg.norm(one, ord=2, axis=(1, 2)) if one.size else np.zeros(m) for one in (d[:, 1:], d, e[:, 1:])]
+    pushed, gap = (np.linalg.norm(one[:, 0], axis=1) for one in (d, e))
+    more = 1 + allowance
+    gap = np.where(free[:, 0], np.inf, more * gap)
+    norms = ForceNorms(more * pushed, more * sizes[0], more * sizes[1], gap, more * sizes[2], allowance)
+    kappa = more * _coupling(d[:, 0], e[:, 1:], mu)
+    moved = V.reshape(m, -1, V.shape[1])
+    always = not np.any(abs(moved[mu > 0, 1:]) > NOT_MOVED)
+    return BalancedForces(norms, kappa, uncertain[:, 0], lengths(uncertain[:, 1:]), moved, motions, always)
+
+
+def part_that_is_seen(
+    problem: ContactProblem, condensation: Condensation, mu: Vector, refined: RefinedLengths
+) -> float:
+    """Return the least |v|^2 of v'Kv + sum K_jj v_j^2 for |v|_M = 1, v a difference of two answers; 0 if that is blind.
+
+    It is one at least where every unknown has a stiffness; of others ties, and contacts that balance settles, say where
+    they are.
+
+    Parameters
+    ----------
+    problem, condensation : of bodies that contacts alone hold
+    mu, refined : coefficients of friction (m,), and the refined answer
+    """
+    if np.all(problem.diagonal > 0):
+        return 1.0
+    compliance = contact_compliance(problem, condensation)
+    _, V, _ = _rigid_lengths(compliance)
+    rows = np.flatnonzero(_with_friction(compliance, mu))
+    U = _in_balance(V[rows])
+    held = rows[:0] if U is None else _settled_by_balance(U, rows, mu, refined)
+    basis, Z = compliance.that_keep(held), orthonormal_motions(condensation)
+    scale = condensation.scale
+    S = condensation.schur * (scale[:, None] * scale)
+    seen = S + np.diag(problem.diagonal[condensation.retained] * scale**2)
+    try:
+        factor = np.linalg.cholesky(basis.T @ seen @ basis)
+    except np.linalg.LinAlgError:
+        return 0.0
+    half = basis @ inverse_of_lower(factor).T
+    most = float(np.max(np.linalg.eigvalsh(half.T @ (S + Z @ Z.T) @ half), initial=1.0))
+    return 1.0 / most if most * SEEN < 1 else 0.0
+
+
+def _rigid_lengths(compliance: ContactOperators) -> tuple[Array, Array, int]:
+    """Return W and V of the bodies as ties hold them, and how many motions move them that ties do not prevent."""
+    values, vectors = np.linalg.eigh(compliance.J)
+    held = abs(values) > FLOATING * np.max(abs(values), initial=1.0)
+    V = compliance.V @ vectors
+    W = compliance.W - (V[:, held] / values[held]) @ V[:, held].T
+    return (W + W.T) / 2, V[:, ~held], int(np.linalg.matrix_rank(vectors[compliance.ties :, ~held], NOT_MOVED))
+
+
+def _with_friction(compliance: ContactOperators, mu: Vector) -> Mask:
+    """Return the rows (m, d) that move something and on which a force may act."""
+    rows = felt_rows(compliance)
+    rows[:, 1:] &= (mu > 0)[:, None]
+    return rows
+
+
+def _in_balance(V: Array) -> Array | None:
+    """Return an orthonormal basis of what balance determines of forces, the range of V; None where that is in doubt."""
+    U, size, _ = np.linalg.svd(V, full_matrices=False)
+    felt = size > NOT_MOVED * np.max(size, initial=0.0)
+    return None if not len(V) or np.any(size[felt] < HARDLY_MOVED) else U[:, felt]
+
+
+def _settled_by_balance(U: Array, rows: Indices, mu: Vector, refined: RefinedLengths) -> Indices:
+    """Return the contact rows whose lengths are zero in every answer, since balance closes or sticks their contacts.
+
+    Parameters
+    ----------
+    U : (p, k), orthonormal, spans what balance determines of the forces on some rows
+    rows : (p,) those rows among all (d m)
+    mu : (m,) coefficients of friction
+    refined : the refined answer, whose forces balance
+    """
+    m, force = len(mu), np.column_stack([refined.normal, refined.friction])
+    d = force.shape[1]
+    spanned = np.zeros((m * d, U.shape[1]))
+    spanned[rows] = U
+    acting = np.isin(np.arange(m * d), rows).reshape(m, d)
+    own = np.eye(d) - spanned.reshape(m, d, -1) @ spanned.reshape(m, d, -1).swapaxes(1, 2)
+    values, vectors = np.linalg.eigh(own[:, 1:, 1:])
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=values > HARDLY_MOVED)
+    a = -np.einsum("iab,ib,icb,ic->ia", vectors, inverse, vectors, own[:, 1:, 0])
+    combined = np.zeros((m, m, d))
+    combined[np.arange(m), np.arange(m)] = np.column_stack([np.ones(m), a])
+    combined = combined.reshape(m, m * d)
+    nothing = BEYOND_ROUNDING * np.max(abs(force), initial=0.0)
+    known = np.linalg.norm(combined - (combined @ spanned) @ spanned.T, axis=1) <= DETERMINED
+    closed = acting[:, 0] & known & (force[:, 0] + np.sum(a * force[:, 1:], axis=1) > nothing)
+    alone = np.linalg.norm(np.eye(m * d) - spanned @ spanned.T, axis=1).reshape(m, d) <= DETERMINED
+    sticks = closed & (acting & alone).all(axis=1) & (lengths(force[:, 1:]) < mu * force[:, 0] - nothing)
+    return np.flatnonzero(np.column_stack([closed, np.repeat(sticks[:, None], d - 1, axis=1)]))
+
+
+def _carried(V: Array, held: Indices) -> tuple[Array, Array]:
+    """Return how all rows move rigidly with held ones (n, p), and in the motions in which these do not move (n, q)."""
+    turned, size, motions = np.linalg.svd(V[held])
+    rank = int(np.sum(size > HARDLY_MOVED))
+    return V @ (motions[:rank].T / size[:rank]) @ turned[:, :rank].T, V @ motions[rank:].T
+
+
+def _half_inverse(basis: Array, W: Array, lost_digits: float) -> tuple[Array, float] | None:
+    """Return X with X'B'W B X = 1 for a basis B, and the relative error of its squares; None where that is large."""
+    energy = basis.T @ W @ basis
+    try:
+        factor = np.linalg.cholesky(energy)
+    except np.linalg.LinAlgError:
+        return None
+    pivots = factor.diagonal() ** 2 / (basis.T**2 @ W.diagonal())
+    rounding = max(lost_digits, len(W) * np.finfo(float).eps)
+    allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+    half = inverse_of_lower(factor).T
+    return (half, allowance) if allowance <= TOO_ROUNDED and np.all(np.isfinite(half)) else None
+
+
+def _coupling(force: Array, slip: Array, mu: Vector) -> float:
+    """Return kappa of the normal forces (m, p) and slips (m, d-1, p) that unit changes make."""
+    sizes = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=(1, 2))
+    coupled = (mu > 0) & (sizes[0] > 0) & (sizes[1] > 0)
+    if not coupled.any():
+        return 0.0
+    weight, mu, force, slip = sizes[1][coupled] / sizes[0][coupled], mu[coupled], force[coupled], slip[coupled]
+    square = force.T @ ((mu * weight)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / weight, slip, slip)
+    return float(np.linalg.eigvalsh(square)[-1]) / 2
