@@ -301,7 +301,7 @@ class PlaneStepper:
             self._status = step.found.status
         else:
             solution = step.finish()
-            self._status = combination_of(solution.problem, solution)
+            self._status = combination_of(solution.problem, solution.answer)
         self._status = np.where((self._status == OPEN) & state.touching, STICK, self._status).astype(np.int8)
         return state
 
@@ -406,11 +406,12 @@ class SolveStepper:
             return self._before
         (first, earlier), (second, before) = self._steps
         ahead = (fraction - second) / (second - first)
-        normal = before.normal_force + ahead * (before.normal_force - earlier.normal_force)
-        if before.friction_force is None or earlier.friction_force is None:
-            return replace(before, normal_force=normal)
-        friction = before.friction_force + ahead * (before.friction_force - earlier.friction_force)
-        return replace(before, normal_force=normal, friction_force=friction)
+        now, then = before.answer, earlier.answer
+        changed = replace(now, normal_force=now.normal_force + ahead * (now.normal_force - then.normal_force))
+        if now.friction_force is not None and then.friction_force is not None:
+            friction = now.friction_force + ahead * (now.friction_force - then.friction_force)
+            changed = replace(changed, friction_force=friction)
+        return replace(before, answer=changed)
 
     def _solved(self, problem: ContactProblem, start: Solution | None) -> Solution:
         return solve(problem, self._method, warm_start=start, **self._options)

@@ -19,7 +19,7 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
 from contactqp.model.names import Units, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
-from contactqp.model.solution import Candidate, Solution, Work
+from contactqp.model.solution import Answer, Candidate, Solution, Work
 from contactqp.model.summary import Printed, Table, csv_text, number, without_rounding
 from contactqp.solving.solve import begin, solve
 
@@ -403,8 +403,8 @@ class Solutions(ReadOnly, Printed):
         outer = sum((row.T @ force.ravel() for row, force in zip(rows, forces, strict=True) if row is not None), 0.0)
         u = condense(problem).free_displacements((problem.load - outer)[:, None])[:, 0]
         u = self._held(problem, u, place)
-        run = begin(problem, self.method, Candidate(u, *forces[:2], friction_force=forces[2]), **self._arguments)
-        return run.finish()
+        start = Candidate(Answer(u, forces[0], forces[2], forces[1]))
+        return begin(problem, self.method, start, **self._arguments).finish()
 
     def _held(self, problem: ContactProblem, u: Vector, place: int) -> Vector:
         """Return a displacement moved rigidly to where contacts that are closed here, or stick, and ties hold it."""

@@ -62,7 +62,7 @@ from contactqp.linalg.sparse_saddle import (
 )
 from contactqp.model.arrays import Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer, Candidate
+from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
 # Solutions are looked for within so many times the size of the answer.
 REACH = 1e3
@@ -117,8 +117,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     factor = stiffness_factor(problem, factors=_factors_of_saddle(twin), least=DEFINITE)
     if not in_range(twin):
         return no_bounds("the numbers of the problem leave the range of doubles")
-    scaled = scaling.scale(Candidate(answer.displacement, answer.normal_force, answer.tie_force))
-    start = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+    start = scaling.scale(replace(answer, friction_force=None))
     finished = seconds_of_unfinished() is None
     state = settled(twin, start, Effort()) if finished else solved_from(twin, start, Effort(), claimed=False)
     if not state.holds:

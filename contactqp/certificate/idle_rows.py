@@ -91,13 +91,11 @@ class ActingRows:
     def whole_answer(self, answer: Answer) -> Answer:
         """Return an answer on the acting rows as one of the whole problem, without force on the other rows."""
         friction = None if answer.friction_force is None else self.friction(answer.friction_force)
-        return Answer(answer.displacement, friction_force=friction, **self._both(answer))
+        return Answer(answer.displacement, self.normal(answer.normal_force), friction, self.tie(answer.tie_force))
 
     def start(self, solution: Any) -> Any:
         """Return the part of a starting solution that belongs to the acting rows."""
-        friction = None if solution.friction_force is None else solution.friction_force[self.contacts]
-        forces = dict(normal_force=solution.normal_force[self.contacts], friction_force=friction)
-        return replace(solution, problem=self.problem, tie_force=solution.tie_force[self.ties], **forces)
+        return replace(solution, problem=self.problem, answer=self.answer(solution.answer))
 
     def at(self, step: ContactProblem) -> ActingRows:
         """Return the acting rows of a step: a problem with the same rows, another load and slip origin."""
@@ -111,16 +109,15 @@ class ActingRows:
         """Return a solution on the acting rows as one of the whole problem."""
         changed = self.forces(found) | dict(certificate=self._judged(found))
         if found.raw is not None:
-            changed["raw"] = replace(found.raw, problem=self.whole, **self._raw(found.raw))
+            changed["raw"] = replace(found.raw, problem=self.whole, answer=self.whole_answer(found.raw.answer))
         return replace(found, **changed)
 
     def forces(self, found: Any) -> dict[str, Any]:
-        """Return problem, forces and contact states of a solution on the acting rows, extended to the whole problem."""
+        """Return problem, answer and contact states of a solution on the acting rows, extended to the whole problem."""
         whole = self.whole
         status = np.full(whole.contacts, "open", dtype=found.contact_status.dtype)
         status[self.contacts] = found.contact_status
-        friction = None if found.friction_force is None else self.friction(found.friction_force)
-        return dict(problem=whole, contact_status=status, friction_force=friction, **self._both(found))
+        return dict(problem=whole, contact_status=status, answer=self.whole_answer(found.answer))
 
     def friction(self, force: Any) -> Any:
         """Return the friction forces of all contacts (..., m, d-1) from those of the acting ones."""
@@ -139,15 +136,8 @@ class ActingRows:
         """Return the forces of all ties (..., k) from those of the acting ones."""
         return _spread(self.whole.ties, self.ties, force)
 
-    def _raw(self, raw: Any) -> dict[str, Any]:
-        friction = None if raw.friction_force is None else self.friction(raw.friction_force)
-        return dict(friction_force=friction, **self._both(raw))
-
-    def _both(self, found: Any) -> dict[str, Any]:
-        return dict(normal_force=self.normal(found.normal_force), tie_force=self.tie(found.tie_force))
-
     def _judged(self, found: Any) -> Any:
-        nothing = Answer(found.displacement, np.zeros(self.whole.contacts), None, np.zeros(self.whole.ties))
+        nothing = Answer(found.answer.displacement, np.zeros(self.whole.contacts), None, np.zeros(self.whole.ties))
         return self.certificate(found.certificate, nothing)
 
     def certificate(self, certificate: Any, answer: Answer) -> Any:

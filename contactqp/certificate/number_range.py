@@ -62,49 +62,39 @@ class NearOne:
 
     def answer(self, answer: Answer) -> Answer:
         """Return an answer of the problem in these units."""
-        return Answer(**self._scaled(answer))
-
-    def whole_answer(self, answer: Answer) -> Answer:
-        """Return an answer in these units as one of the problem; InvalidProblem where it exceeds doubles."""
-        return Answer(**self.parts(answer), friction_force=self.friction(answer.friction_force))
-
-    def start(self, solution: Any) -> Any:
-        """Return a starting solution in these units."""
-        return replace(solution, problem=self.problem, **self._scaled(solution))
-
-    def _scaled(self, answer: Any) -> dict[str, Any]:
         friction = answer.friction_force
-        return dict(
+        return Answer(
             displacement=self.displacement(answer.displacement),
             normal_force=np.ldexp(answer.normal_force, self.contacts - self.length),
             friction_force=None if friction is None else np.ldexp(friction, self.tangents[:, None] - self.length),
             tie_force=np.ldexp(answer.tie_force, self.ties - self.length),
         )
 
+    def whole_answer(self, answer: Answer) -> Answer:
+        """Return an answer in these units as one of the problem; InvalidProblem where it exceeds doubles."""
+        changed = dict(
+            displacement=np.ldexp(answer.displacement, self.unknowns + self.length),
+            normal_force=np.ldexp(answer.normal_force, self.length - self.contacts),
+            tie_force=np.ldexp(answer.tie_force, self.length - self.ties),
+        )
+        for name, values in changed.items():
+            if np.any(np.isinf(values) & np.isfinite(getattr(answer, name))):
+                called = {"displacement": self.whole.dof_name, "tie_force": self.whole.tie_name}
+                at = called.get(name, self.whole.contact_name)(int(np.argmax(np.isinf(values))))
+                raise InvalidProblem(f"{name}: that of {at} is beyond 1.8e308; state the problem in other units")
+        friction = answer.friction_force
+        if friction is not None:
+            friction = np.ldexp(friction, self.length - self.tangents[:, None])
+        return Answer(**changed, friction_force=friction)
+
+    def start(self, solution: Any) -> Any:
+        """Return a starting solution in these units."""
+        return replace(solution, problem=self.problem, answer=self.answer(solution.answer))
+
     def options(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options of a method in these units: contact stiffnesses are scaled, all others stay."""
         rows_of = {name: getattr(self, rows) for name, rows in STIFFNESSES.items() if options.get(name) is not None}
         return options | {name: np.ldexp(np.asarray(options[name], float), 2 * row) for name, row in rows_of.items()}
-
-    def parts(self, found: Any) -> dict[str, Any]:
-        """Return displacement, normal and tie forces of an answer in these units as those of the problem.
-
-        Raises
-        ------
-        InvalidProblem
-            One is beyond doubles.
-        """
-        changed = dict(
-            displacement=np.ldexp(found.displacement, self.unknowns + self.length),
-            normal_force=np.ldexp(found.normal_force, self.length - self.contacts),
-            tie_force=np.ldexp(found.tie_force, self.length - self.ties),
-        )
-        for name, values in changed.items():
-            if np.any(np.isinf(values) & np.isfinite(getattr(found, name))):
-                called = {"displacement": self.whole.dof_name, "tie_force": self.whole.tie_name}
-                at = called.get(name, self.whole.contact_name)(int(np.argmax(np.isinf(values))))
-                raise InvalidProblem(f"{name}: that of {at} is beyond 1.8e308; state the problem in other units")
-        return changed
 
     def displacement(self, displacement: Vector) -> Vector:
         """Return a displacement of the problem in these units."""
@@ -113,10 +103,6 @@ class NearOne:
     def coefficients(self, coefficients: Vector) -> Vector:
         """Return coefficients of friction in these units as those of the problem."""
         return np.asarray(np.ldexp(coefficients, self.contacts - self.tangents))
-
-    def friction(self, force: Any) -> Any:
-        """Return friction forces (m, d-1) in these units as those of the problem; None where there are none."""
-        return None if force is None else np.ldexp(force, self.length - self.tangents[:, None])
 
     def motions(self, found: tuple[FreeMotion, ...]) -> tuple[FreeMotion, ...]:
         """Return free motions as those of the problem, with a largest component of one."""
@@ -132,7 +118,7 @@ class NearOne:
         """Raise InvalidProblem where an answer closes a gap that these units cannot hold, or might if none is given."""
         far = (self.problem.gap >= FAR_AWAY) & (self.problem.gap < np.inf)
         if solution is not None:
-            far &= self.problem.normal @ solution.displacement > FAR_AWAY / 2
+            far &= self.problem.normal @ solution.answer.displacement > FAR_AWAY / 2
         if far.any():
             i = int(np.argmax(far))
             raise InvalidProblem(

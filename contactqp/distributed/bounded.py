@@ -35,7 +35,7 @@ from contactqp.distributed.ranks import Product, aij_copy, petsc, temporary_opti
 from contactqp.distributed.rows import Rows
 from contactqp.errors import NoEquilibrium, Unsupported, shown
 from contactqp.model.arrays import Indices, Vector
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods import Settings
 
 # The place of no unknown, and of no row.
@@ -305,7 +305,7 @@ class _Scaled:
         self.load = self._vector(load / length)
         start = np.zeros(len(load))
         if warm_start is not None:
-            start = bounds.unknowns(warm_start.displacement) / self._unit
+            start = bounds.unknowns(warm_start.answer.displacement) / self._unit
         self.y = self._vector(np.clip(start, self.lower.array, self.upper.array))  # the start, then the answer
 
     def _vector(self, values: Vector) -> Any:
@@ -322,8 +322,9 @@ class _Scaled:
         bounds, w = self._bounds, self._unit * self.y.array
         displacement = bounds.displacement(w)
         residual = bounds.force(bounds.problem.load - bounds.problem.product(displacement))
-        forces = bounds.forces(w, residual, self._diagonal)
-        return Candidate(displacement, *forces, iterations=steps, claimed=claimed, status=f"PETSc's reason {reason}")
+        normal, tie = bounds.forces(w, residual, self._diagonal)
+        answer = Answer(displacement, normal, None, tie)
+        return Candidate(answer, iterations=steps, claimed=claimed, status=f"PETSc's reason {reason}")
 
 
 def _newton(problem: _Scaled, method: str, settings: Settings) -> Any:

@@ -28,7 +28,7 @@ from contactqp.distributed.ranks import Ranks, collect_garbage
 from contactqp.distributed.violations import violations
 from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.linalg.iterated_states import FrictionRows
-from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.arrays import Array, Index
 from contactqp.model.names import describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import (
@@ -37,6 +37,7 @@ from contactqp.model.solution import (
     Candidate,
     Certificate,
     FreeMotion,
+    HoldsAnswer,
     Nothing,
     Solution,
     Violations,
@@ -101,7 +102,7 @@ def solve_distributed(
     collect_garbage(problem.ranks.comm)
     start = None
     if warm_start is not None:
-        start = Candidate(warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
+        start = Candidate(replace(warm_start, friction_force=None))
     settings = Settings(tolerance, max_iter, time_limit, start, {})
     by_bounds = method in bounded.METHODS
     preconditioner = AUTO if by_bounds and solver not in SOLVERS else solver
@@ -117,8 +118,7 @@ def solve_distributed(
         method = algorithm_name("tresca", method)
     else:
         candidate = solve_by_iteration(problem, iteration, settings, ENERGY)
-    answer = Answer(candidate.displacement, candidate.normal_force, candidate.friction_force, candidate.tie_force)
-    answer, motions = _at_rest(problem, iteration, answer)
+    answer, motions = _at_rest(problem, iteration, candidate.answer)
     solution = _certified(problem, answer, motions, iteration, method)
     krylov_iterations = iteration.krylov_iterations - before
     solution = replace(
@@ -283,10 +283,7 @@ def whole_solution(problem: ContactProblem, solution: DistributedSolution) -> So
     """Return a distributed solution as one process would have it, on every rank. Collective."""
     return Solution(
         problem=problem,
-        displacement=solution.displacement,
-        normal_force=solution.normal_force,
-        friction_force=solution.friction_force,
-        tie_force=solution.tie_force,
+        answer=Answer(solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force),
         contact_status=solution.contact_status,
         free_motions=tuple(FreeMotion(motion, describe_motion(problem, motion)) for motion in solution.free_motions),
         certificate=whole_certificate(solution, solution.problem.gathered),
@@ -335,15 +332,12 @@ def _whole_violations(found: Violations, part: DistributedProblem, gather: Gathe
 
 
 @dataclass(frozen=True, eq=False)
-class CollectedSolution:
+class CollectedSolution(HoldsAnswer):
     """A solution for the rank that prints it: in the numbers of one process on the first rank, arrays of no rows on
     the others.
     """
 
-    displacement: Vector = field(repr=False)  # (n,)
-    normal_force: Vector = field(repr=False)  # (m,)
-    friction_force: Array | None = field(repr=False)  # (m, d-1)
-    tie_force: Vector = field(repr=False)  # (k,)
+    answer: Answer = field(repr=False)
     contact_status: NDArray[np.str_] = field(repr=False)  # (m,)
     certificate: Certificate  # its figures and its verdict are those of all ranks
     method: str
@@ -362,10 +356,12 @@ def collected(solution: DistributedSolution) -> CollectedSolution:
 
     friction = answer.friction_force
     return CollectedSolution(
-        displacement=gather(answer.displacement, part.dof_number),
-        normal_force=gather(answer.normal_force, part.contact_number),
-        friction_force=None if friction is None else gather(friction, part.contact_number),
-        tie_force=gather(answer.tie_force, part.tie_number),
+        answer=Answer(
+            displacement=gather(answer.displacement, part.dof_number),
+            normal_force=gather(answer.normal_force, part.contact_number),
+            friction_force=None if friction is None else gather(friction, part.contact_number),
+            tie_force=gather(answer.tie_force, part.tie_number),
+        ),
         contact_status=gather(solution.status, part.contact_number),
         certificate=whole_certificate(solution, gather),
         method=solution.method,

@@ -52,20 +52,22 @@ class Scaling:
 
     def unscale(self, candidate: Candidate) -> Candidate:
         """Return a candidate of the twin in the units of the problem."""
-        return replace(
-            candidate,
-            displacement=self.length * self.unknowns * candidate.displacement,
-            normal_force=self.force * candidate.normal_force / self.contacts,
-            tie_force=self.force * candidate.tie_force / self.ties,
+        found = candidate.answer
+        answer = replace(
+            found,
+            displacement=self.length * self.unknowns * found.displacement,
+            normal_force=self.force * found.normal_force / self.contacts,
+            tie_force=self.force * found.tie_force / self.ties,
         )
+        return replace(candidate, answer=answer)
 
-    def scale(self, candidate: Candidate) -> Candidate:
-        """Return a candidate of the problem in the units of the twin."""
+    def scale(self, answer: Answer) -> Answer:
+        """Return an answer of the problem in the units of the twin."""
         return replace(
-            candidate,
-            displacement=candidate.displacement / (self.length * self.unknowns),
-            normal_force=candidate.normal_force * self.contacts / self.force,
-            tie_force=candidate.tie_force * self.ties / self.force,
+            answer,
+            displacement=answer.displacement / (self.length * self.unknowns),
+            normal_force=answer.normal_force * self.contacts / self.force,
+            tie_force=answer.tie_force * self.ties / self.force,
         )
 
 

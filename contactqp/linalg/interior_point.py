@@ -50,7 +50,7 @@ from contactqp.linalg.sparse_saddle import (
 )
 from contactqp.model.arrays import Mask, Vector, all_finite, refuse_late
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate
+from contactqp.model.solution import Answer
 
 # Unknowns move by so many times what contradicts at most, and open contacts that near may close.
 FARTHEST = 1e3
@@ -424,7 +424,7 @@ def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Call
     return refined
 
 
-def refuse_ray(problem: ContactProblem, diverged: Candidate) -> None:
+def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
     """Raise NoEquilibrium where an answer that a backend does not call solved is a ray that proves it.
 
     Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements

@@ -430,8 +430,8 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> Indices:
     return np.asarray(closed[touching][share[: len(touching)] > NO_SHARE]) if missing <= CARRIED else closed
 
 
-def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Vector, Vector, Vector]:
-    """Return displacement, contact and tie forces in double precision, zero beneath the rounding of the refinement."""
+def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> Answer:
+    """Return an answer on a set in double precision, with zeros beneath the rounding of the refinement."""
     u, tie = answer.doubles.displacement, answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
@@ -439,7 +439,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     loads = abs(problem.load) / root
     largest = max([part.max(initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
     u, force = zero_beneath((u, force), (root, size), INVISIBLE * largest)
-    return u, force[: len(push)], force[len(push) :]
+    return Answer(u, force[: len(push)], None, force[len(push) :])
 
 
 def least_displacement(
@@ -462,10 +462,10 @@ def least_displacement(
     """
     if not condensation.rigid.count:
         return answer, condensation.rigid.motions
-    u, force, tie = without_noise(problem, condensation, answer)
-    pushing = pushing_contacts(problem, Answer(u, force, None, tie))
-    shift, free = shift_to_least_norm(problem, condensation, Answer(u, force, None, tie), pushing)
-    far, largest = abs(shift).max(initial=0.0), abs(u).max(initial=0.0)
+    clean = without_noise(problem, condensation, answer)
+    pushing = pushing_contacts(problem, clean)
+    shift, free = shift_to_least_norm(problem, condensation, clean, pushing)
+    far, largest = abs(shift).max(initial=0.0), abs(clean.displacement).max(initial=0.0)
     if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
         return answer, free
     if far <= SLIGHT * largest:
@@ -476,7 +476,7 @@ def least_displacement(
         double = dict(gaps=gap.double(), doubles=doubles, lengths=lengths)
         return replace(answer, displacement=closer, gap=gap, **double), free
     # The shift is rigid to double precision only: refine again from where it leads.
-    moved = Answer(u + shift, force, None, tie)
+    moved = replace(clean, displacement=clean.displacement + shift)
     return answer_on(problem, condensation, pushing, moved, caution=caution), free
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,21 @@ class Answer(ReadOnly):
     normal_force: Vector  # (m,)
     friction_force: Array | None  # (m, d-1)
     tie_force: Vector  # (k,)
+
+
+def _of_answer(name: str, doc: str) -> Any:
+    """Return the property that reads an array of the answer, as fast as an attribute of one's own."""
+    return property(attrgetter(f"answer.{name}"), doc=doc)
+
+
+class HoldsAnswer:
+    """A class that holds an `Answer` and shows the arrays of it as its own."""
+
+    answer: Answer
+    displacement: Vector = _of_answer("displacement", "The displacement of the answer (n,).")
+    normal_force: Vector = _of_answer("normal_force", "The normal forces (m,), positive in compression.")
+    friction_force: Array | None = _of_answer("friction_force", "The friction forces (m, d-1); None without friction.")
+    tie_force: Vector = _of_answer("tie_force", "The forces of the ties (k,).")
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,21 +255,18 @@ class LocalCertificate(ReadOnly, Printed):
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(HoldsAnswer):
     """The answer of one method to one `ContactProblem`, in that problem's own unknowns, neither polished nor certified.
 
     Displacements, forces and ties have the problem's units; contact forces are positive in compression.
     """
 
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,) l_N, positive in compression
-    tie_force: Vector  # (k,) nu
+    answer: Answer  # its friction is None unless the method enforces friction itself
     iterations: int | None = 0  # None: the backend does not say
     claimed: bool = True  # does the method itself call this solved?
     status: str = ""  # the backend's own words
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
-    friction_force: Array | None = None  # (m, d-1) l_T, of a method that enforces friction itself
-    contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, likewise
+    contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, where the method enforces friction
 
 
 @dataclass(frozen=True)
@@ -278,14 +291,11 @@ class Work:
 
 
 @dataclass(frozen=True, eq=False)
-class Raw(ReadOnly):
+class Raw(ReadOnly, HoldsAnswer):
     """A method's answer before polishing, with a certificate that is computed on first access."""
 
     problem: ContactProblem = field(repr=False)
-    displacement: Vector
-    normal_force: Vector
-    friction_force: Array | None  # (m, d-1), zeros: there is a raw answer without friction alone
-    tie_force: Vector
+    answer: Answer  # its friction is zeros or None: there is a raw answer without friction alone
     claimed: bool
     status: str
     judge: Callable[..., Certificate] = field(repr=False)  # `contactqp.certificate.certificate.compute_certificate`
@@ -293,7 +303,9 @@ class Raw(ReadOnly):
     @cached_property
     def certificate(self) -> Certificate:
         """Return the certificate of the unpolished answer."""
-        return self.judge(self.problem, self.displacement, self.normal_force, self.friction_force, self.tie_force)
+        answer = self.answer
+        parts = (answer.displacement, answer.normal_force, answer.friction_force, answer.tie_force)
+        return self.judge(self.problem, *parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,19 +323,16 @@ class FreeMotion(ReadOnly):
 class Final:
     """The answer that is certified: a candidate, polished or as it came, its free motions at rest."""
 
-    displacement: Vector
-    normal_force: Vector
-    tie_force: Vector
+    answer: Answer
     free_motions: tuple[FreeMotion, ...] = ()
     corrections: int = 0  # of the contact set
     polished: bool = False
-    friction_force: Array | None = None  # (m, d-1); None without friction
     contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
 
 
 @computes
 @dataclass(frozen=True, eq=False)
-class Solution(ReadOnly):
+class Solution(ReadOnly, HoldsAnswer):
     """Displacement and forces of one ContactProblem, with the certificate that judged them.
 
     Forces are positive in compression (`normal_force` is l_N of K u + E_N' l_N + E_T' l_T + A' nu = f); gaps are
@@ -331,10 +340,7 @@ class Solution(ReadOnly):
     """
 
     problem: ContactProblem = field(repr=False)
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array | None  # (m, d-1)
-    tie_force: Vector  # (k,)
+    answer: Answer  # its arrays are also `displacement`, `normal_force`, `friction_force` and `tie_force` of this
     contact_status: NDArray[np.str_]  # (m,) of open, closed, grazing, stick, slip
     free_motions: tuple[FreeMotion, ...]
     certificate: Certificate

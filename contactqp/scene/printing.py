@@ -137,7 +137,8 @@ def print_judgement(console: Console, judgement: Judgement, verbose: bool = True
         header = ["contact", "status", f"normal force [{force}]", f"gap [{length}]"]
         if solution.problem.frictional:
             header += [f"friction {axis} [{force}]" for axis in scene.axes]
-            vectors = friction_along_axes(judgement.model, replace(solution, friction_force=clean.friction_force))
+            dragged = replace(solution, answer=replace(solution.answer, friction_force=clean.friction_force))
+            vectors = friction_along_axes(judgement.model, dragged)
             vectors = np.where(abs(vectors) > DRAWN_AS_ZERO * np.linalg.norm(vectors, axis=1)[:, None], vectors, 0.0)
             rows = [[*row, *map(written, vector)] for row, vector in zip(rows, vectors, strict=True)]
         pictures = [(3, solution.normal_force), (4, clean_gaps(solution))]

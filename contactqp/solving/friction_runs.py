@@ -78,7 +78,7 @@ def _associated(
         return answer, "associated friction law by clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
     # A start has one force a contact, and the program two.
-    found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final()
+    found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final().answer
     parts = (found.displacement, found.normal_force, found.tie_force)
     certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
     if not certificate.passed:
@@ -201,22 +201,14 @@ class FrictionRun(Run):
         self.name, self.exact, self._answer, self._condensation = name, exact, answer, condensation
         self.meter = meter or self.meter
         steps = len(history) + 1 if iterations is None else iterations
-        self.candidate = Candidate(
-            answer.displacement, answer.normal_force, answer.tie_force, iterations=steps, history=history
-        )
+        self.candidate = Candidate(replace(answer, friction_force=None), iterations=steps, history=history)
 
     def final(self) -> Final:
         """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
         condensation = self._condensation or condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
-        return Final(
-            answer.displacement,
-            answer.normal_force,
-            answer.tie_force,
-            free_motions=described(self.problem, free),
-            friction_force=answer.friction_force,
-        )
+        return Final(answer, free_motions=described(self.problem, free))
 
     def refuse_conflict(self) -> None:
         """Do nothing: conflicting constraints were refused before an answer was found."""
@@ -236,9 +228,7 @@ class SparseFrictionRun(FrictionRun):
 
     def final(self) -> Final:
         """Return the answer as it was found: no body floats, and noise has been removed."""
-        answer = self._found.answer
-        forces = answer.normal_force, answer.tie_force
-        return Final(answer.displacement, *forces, friction_force=answer.friction_force)
+        return Final(self._found.answer)
 
     def work(self, corrections: int) -> Work:
         """Return what the answer has cost; combinations that differ in few contacts share a factorisation."""
@@ -273,19 +263,19 @@ class IteratedFrictionRun(RunByIteration):
 
     def final(self) -> Final:
         """Return the candidate with its free motions at rest, which is the answer that is to be certified."""
-        found, u, free = self.candidate, self.candidate.displacement, self.iteration.rigid.motions
+        answer, free = self.candidate.answer, self.iteration.rigid.motions
         if free.shape[1]:
-            u, free = FrictionRows(self.problem, self.iteration).at_rest(u, found.normal_force)
-        motions = described(self.problem, free)
-        return Final(u, found.normal_force, found.tie_force, motions, friction_force=found.friction_force)
+            rows = FrictionRows(self.problem, self.iteration)
+            u, free = rows.at_rest(answer.displacement, answer.normal_force)
+            answer = replace(answer, displacement=u)
+        return Final(answer, described(self.problem, free))
 
 
 def _known_answer(problem: ContactProblem, found: Candidate | None) -> Answer | None:
     """Return a warm start as an answer, or None if it has no friction forces."""
-    if found is None or found.friction_force is None or not all_finite(found):
+    if found is None or found.answer.friction_force is None or not all_finite(found.answer):
         return None
-    friction = found.friction_force.reshape(problem.contacts, -1)
-    return Answer(found.displacement, found.normal_force, friction, found.tie_force)
+    return replace(found.answer, friction_force=found.answer.friction_force.reshape(problem.contacts, -1))
 
 
 # Contacts of which all combinations take less than the long attempts of algorithms that find none.
@@ -481,7 +471,7 @@ def _refuse_unproven(problem: ContactProblem) -> None:
 
 
 def _described(problem: ContactProblem, run: FrictionRun) -> str:
-    forces = run.candidate.normal_force
+    forces = run.candidate.answer.normal_force
     return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
 
 

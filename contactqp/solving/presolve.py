@@ -177,13 +177,15 @@ class Presolved:
         """Return a start on all rows as one on the kept rows."""
         if start is None:
             return None
-        normal, tie = self.contacts.restricted(start.normal_force), self.ties.restricted(start.tie_force)
-        return replace(start, normal_force=normal, tie_force=tie)
+        answer = start.answer
+        normal, tie = self.contacts.restricted(answer.normal_force), self.ties.restricted(answer.tie_force)
+        return replace(start, answer=replace(answer, normal_force=normal, tie_force=tie))
 
     def spread(self, found: Candidate | Final) -> Any:
         """Return an answer on the kept rows as one on all rows."""
-        normal, tie = self.contacts.matrix @ found.normal_force, self.ties.matrix @ found.tie_force
-        return replace(found, normal_force=normal, tie_force=tie)
+        answer = found.answer
+        normal, tie = self.contacts.matrix @ answer.normal_force, self.ties.matrix @ answer.tie_force
+        return replace(found, answer=replace(answer, normal_force=normal, tie_force=tie))
 
 
 def presolved(problem: ContactProblem) -> Presolved | None:
@@ -401,8 +403,10 @@ def _gap(problem: ContactProblem, displacement: Vector) -> Vector:
 def _restricted(start: Solution | None, subset: ContactProblem, candidates: Indices) -> Solution | None:
     if start is None:
         return None
-    friction = None if start.friction_force is None else start.friction_force[candidates]
-    return replace(start, problem=subset, normal_force=start.normal_force[candidates], friction_force=friction)
+    answer = start.answer
+    friction = None if answer.friction_force is None else answer.friction_force[candidates]
+    few = replace(answer, normal_force=answer.normal_force[candidates], friction_force=friction)
+    return replace(start, problem=subset, answer=few)
 
 
 def _of_all(problem: ContactProblem, candidates: Indices, solution: Solution, spent: Work, started: float) -> Solution:
@@ -415,9 +419,10 @@ def _of_all(problem: ContactProblem, candidates: Indices, solution: Solution, sp
 
     def of_all(found: Any) -> Any:
         friction = None if problem.slip_origin is None else np.zeros_like(problem.slip_origin)
-        if found.friction_force is not None:
-            friction = spread(found.friction_force)
-        return replace(found, problem=problem, normal_force=spread(found.normal_force), friction_force=friction)
+        if found.answer.friction_force is not None:
+            friction = spread(found.answer.friction_force)
+        answer = replace(found.answer, normal_force=spread(found.answer.normal_force), friction_force=friction)
+        return replace(found, problem=problem, answer=answer)
 
     answered = time.perf_counter()
     raw = solution.raw

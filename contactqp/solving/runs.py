@@ -178,23 +178,19 @@ class Run(ABC):
         problem, candidate = self.problem, self.candidate
         with self.meter.running():
             final = self.final()
-            friction = final.friction_force
-            if friction is None and problem.slip_origin is not None:
-                friction = np.zeros_like(problem.slip_origin)
+            answer = final.answer
+            if answer.friction_force is None and problem.slip_origin is not None:
+                answer = replace(answer, friction_force=np.zeros_like(problem.slip_origin))
             answered = time.perf_counter()
-            answer = Answer(final.displacement, final.normal_force, friction, final.tie_force)
             with nullcontext() if final.polished or candidate.claimed or not time_is_up() else unfinished():
                 certificate = certificate_of(problem, answer)
             certified = time.perf_counter()
             # The active-set method's own answer is the set; what came before its refinement is no other method's.
-            raw = self._raw(friction) if final.polished and self.method.kind != "active set" else None
+            raw = self._raw(answer.friction_force) if final.polished and self.method.kind != "active set" else None
         status = contact_status(problem, certificate) if final.contact_status is None else final.contact_status
         solution = Solution(
             problem=problem,
-            displacement=final.displacement,
-            normal_force=final.normal_force,
-            friction_force=friction,
-            tie_force=final.tie_force,
+            answer=answer,
             contact_status=status,
             free_motions=final.free_motions,
             certificate=certificate,
@@ -209,21 +205,13 @@ class Run(ABC):
 
     def _raw(self, friction: Any) -> Raw:
         candidate = self.expanded
-        return Raw(
-            self.problem,
-            candidate.displacement,
-            candidate.normal_force,
-            friction,
-            candidate.tie_force,
-            claimed=candidate.claimed,
-            status=candidate.status,
-            judge=compute_certificate,
-        )
+        answer = replace(candidate.answer, friction_force=friction)
+        return Raw(self.problem, answer, candidate.claimed, candidate.status, judge=compute_certificate)
 
 
 def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     """Return whether an answer penetrates or misses ties by more than rounding of the lengths that meet."""
-    u, found = solution.displacement, solution.certificate.violations
+    u, found = solution.answer.displacement, solution.certificate.violations
     apart = found is not None and bool((found.gap >= 0).all())  # to twice the digits of what is formed here
     for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
         if not limit.size or (signed and apart):
@@ -281,7 +269,9 @@ class CondensedRun(Run):
         if self._whole:
             return self.candidate
         _, inner = self._condensation.reduce_load(self.problem.load)
-        return replace(self.candidate, displacement=self._condensation.expand(self.candidate.displacement, inner))
+        answer = self.candidate.answer
+        whole = replace(answer, displacement=self._condensation.expand(answer.displacement, inner))
+        return replace(self.candidate, answer=whole)
 
     @property
     def start(self) -> Candidate:
@@ -289,8 +279,8 @@ class CondensedRun(Run):
         if self._whole:
             return self.candidate
         displacement = np.zeros(self.problem.dimension)
-        displacement[self._condensation.retained] = self.candidate.displacement
-        return replace(self.candidate, displacement=displacement)
+        displacement[self._condensation.retained] = self.candidate.answer.displacement
+        return replace(self.candidate, answer=replace(self.candidate.answer, displacement=displacement))
 
     def work(self, corrections: int) -> Work:
         """Return what the answer has cost so far, and how many unknowns the method was shown."""
@@ -309,8 +299,9 @@ class CondensedRun(Run):
         if not bare and not (smaller if wanted == "auto" else wanted):
             return True, _run_scaled(problem, method, settings)
         if settings.warm_start is not None:
-            retained = settings.warm_start.displacement[condensation.retained]
-            settings = replace(settings, warm_start=replace(settings.warm_start, displacement=retained))
+            start = settings.warm_start.answer
+            start = replace(start, displacement=start.displacement[condensation.retained])
+            settings = replace(settings, warm_start=replace(settings.warm_start, answer=start))
         if method.solve_condensed is not None and not bare:
             return False, method.solve_condensed(problem, condensation, settings)
         load, inner = condensation.reduce_load(problem.load)
@@ -320,33 +311,31 @@ class CondensedRun(Run):
 
     def _polished(self) -> Final | None:
         """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
-        problem, condensation, candidate = self.problem, self._condensation, self.candidate
-        if not all_finite(candidate):
+        problem, condensation, found = self.problem, self._condensation, self.candidate.answer
+        if not all_finite(found):
             return None
-        u = candidate.displacement
+        u = found.displacement
         if not self._whole:
             u = np.zeros(problem.dimension)
-            u[condensation.retained] = candidate.displacement
+            u[condensation.retained] = found.displacement
         compliance = condensation.delassus.compliance[: problem.contacts]
-        closed = closed_contacts(problem, compliance, u, candidate.normal_force)
+        closed = closed_contacts(problem, compliance, u, found.normal_force)
         answer, corrections, holds = polish(problem, condensation, closed, self.method.corrections)
         if not holds:
             return None
         answer, free = least_displacement(problem, condensation, answer)
-        return Final(
-            *without_noise(problem, condensation, answer), described(self.problem, free), corrections, polished=True
-        )
+        motions = described(problem, free) if free.size else ()
+        return Final(without_noise(problem, condensation, answer), motions, corrections, polished=True)
 
     def _as_it_came(self) -> Final:
         """Return the candidate as the method found it, with its free motions put to rest."""
-        candidate = self.expanded
-        u, force, tie = candidate.displacement, candidate.normal_force, candidate.tie_force
-        if not all_finite(candidate):
-            return Final(u, force, tie)
-        answer = Answer(u, force, None, tie)
+        answer = replace(self.expanded.answer, friction_force=None)
+        if not all_finite(answer):
+            return Final(answer)
         closed = pushing_contacts(self.problem, answer)
         shift, free = shift_to_least_norm(self.problem, self._condensation, answer, closed)
-        return Final(u + shift, force, tie, described(self.problem, free))
+        answer = replace(answer, displacement=answer.displacement + shift)
+        return Final(answer, described(self.problem, free))
 
 
 def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
@@ -370,7 +359,7 @@ def _linear(condensation: Condensation, load: Vector) -> Candidate:
     """Solve the linear system that remains without contacts and ties."""
     none = np.zeros(0)
     x, _, _ = saddle_point(condensation, np.zeros(0, dtype=np.intp)).solve(load, none, none)
-    return Candidate(x, none, none, status="a linear system")
+    return Candidate(Answer(x, none, None, none), status="a linear system")
 
 
 def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> Candidate:
@@ -378,7 +367,8 @@ def _run_scaled(problem: ContactProblem, method: Method, settings: Settings) -> 
         return method.solve(problem, settings)
     twin, scaling = nondimensional(problem)
     if settings.warm_start is not None:
-        settings = replace(settings, warm_start=scaling.scale(settings.warm_start))
+        start = replace(settings.warm_start, answer=scaling.scale(settings.warm_start.answer))
+        settings = replace(settings, warm_start=start)
     return scaling.unscale(method.solve(twin, settings))
 
 
@@ -412,17 +402,17 @@ class EnforcedRun(Run):
 
     def final(self) -> Final:
         """Return the answer that is to be certified: the candidate with zeros in place of its rounding."""
-        u, normal, friction, tie = _without_noise(self.problem, self.candidate)
+        u, normal, friction, tie = _without_noise(self.problem, self.candidate.answer)
         # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
         status = None if self.method.exact else self.candidate.contact_status
-        return Final(u, normal, tie, friction_force=friction[:, None], contact_status=status)
+        return Final(Answer(u, normal, friction[:, None], tie), contact_status=status)
 
     def work(self, corrections: int) -> Work:
         """Return what the answer has cost so far."""
         return replace(super().work(corrections), retained=self.problem.dimension)
 
 
-def _without_noise(problem: ContactProblem, found: Candidate) -> tuple[Vector, Vector, Vector, Vector]:
+def _without_noise(problem: ContactProblem, found: Answer) -> tuple[Vector, Vector, Vector, Vector]:
     """Return displacement, normal, friction and tie forces, zero where they are the rounding that refinement leaves.
 
     All are compared as square roots of energy: forces by the rows that they act along.
@@ -493,8 +483,8 @@ class IteratedRun(RunByIteration):
 
     def final(self) -> Final:
         """Return the candidate with its free motions at rest, which is the answer that is to be certified."""
-        found, floating = self.candidate, self.iteration.floating
+        found, floating = replace(self.candidate.answer, friction_force=None), self.iteration.floating
         if not floating.count:
-            return Final(found.displacement, found.normal_force, found.tie_force)
+            return Final(found)
         u, free = floating.at_rest(found.displacement, found.normal_force, self.problem.gap)
-        return Final(u, found.normal_force, found.tie_force, described(self.problem, free))
+        return Final(replace(found, displacement=u), described(self.problem, free))

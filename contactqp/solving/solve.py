@@ -14,7 +14,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import (
@@ -279,7 +279,7 @@ def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
         found = solve(slippery)
         return found.normal_force, found.work
     run = begin(slippery, DEFAULT_METHOD)
-    return run.expanded.normal_force, run.work(0)
+    return run.expanded.answer.normal_force, run.work(0)
 
 
 def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
@@ -363,14 +363,13 @@ def of_problem(near: NearOne, found: Solution) -> Solution:
     Raises InvalidProblem: the answer, or a gap that it closes, is beyond doubles.
     """
     near.refuse_far_gap(found)
-    parts, friction = near.parts(found), near.friction(found.friction_force)
-    judged = (parts["displacement"], parts["normal_force"], friction, parts["tie_force"])
-    tolerances = found.certificate.tolerance, found.certificate.error_tolerance
-    parts["certificate"] = compute_certificate(near.whole, *judged, *tolerances)
+    answer = near.whole_answer(found.answer)
+    certificate = certificate_of(near.whole, answer, found.certificate.tolerance, found.certificate.error_tolerance)
     raw = None
     if found.raw is not None and not near.whole.frictional:
-        raw = replace(found.raw, problem=near.whole, friction_force=None, **near.parts(found.raw))
-    whole = replace(found, problem=near.whole, friction_force=friction, raw=raw, **parts)
+        unpolished = replace(near.whole_answer(found.raw.answer), friction_force=None)
+        raw = replace(found.raw, problem=near.whole, answer=unpolished)
+    whole = replace(found, problem=near.whole, answer=answer, raw=raw, certificate=certificate)
     return replace(whole, free_motions=near.motions(found.free_motions))
 
 

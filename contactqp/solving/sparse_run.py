@@ -114,7 +114,9 @@ class SparseRun(Run):
             if method.kind == CONDENSES_ITSELF:
                 self.candidate = self._identified(settings.now)
             elif method.name in ENDS_PROCESSES:
-                start = settings.warm_start and self._scaling.scale(settings.warm_start)
+                start = settings.warm_start
+                if start is not None:
+                    start = replace(start, answer=self._scaling.scale(start.answer))
                 found = method.solve(self._twin, replace(settings.now, warm_start=start))
                 self.candidate = self._scaling.unscale(found)
             else:
@@ -143,7 +145,7 @@ class SparseRun(Run):
         for found in self._candidates(settings, tried):
             before, self._last = self._state, found
             if not found.claimed:
-                refuse_ray(self.problem, self._scaling.scale(found))
+                refuse_ray(self.problem, self._scaling.scale(found.answer))
             state = self._settle(found)
             if state.holds and (before is None or state.better_than(before)):
                 best = found
@@ -221,8 +223,7 @@ class SparseRun(Run):
         tell("sparse systems settle the closed contacts")
         hasty = self._effort.wasted < WASTED
         self._effort.cut, self._effort.most = False, self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
-        scaled = self._scaling.scale(candidate)
-        answer = Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+        answer = replace(self._scaling.scale(candidate.answer), friction_force=None)
         claimed = candidate.claimed or driven or not hasty
         state = solved_from(self._twin, answer, self._effort, driven, claimed)
         self._state = state if state.holds else None
@@ -239,7 +240,7 @@ class SparseRun(Run):
                 found = scaling.unscale(self.method.solve(twin, given))
             except BackendFailed:
                 continue
-            if found.claimed and all_finite(found):
+            if found.claimed and all_finite(found.answer):
                 self._effort.wasted = WASTED
                 if self._settle(found).holds:
                     self.candidate = found
@@ -247,20 +248,18 @@ class SparseRun(Run):
 
     def final(self) -> Final:
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
-        if self._state is None and self.polish and self.method.polish and all_finite(self.candidate):
+        if self._state is None and self.polish and self.method.polish and all_finite(self.candidate.answer):
             self._polish_in_time()
         if self._state is None and not self.candidate.claimed and not time_is_up():
             self._refuse_overlap()
         if self._state is None:
-            found = self.candidate
-            return Final(found.displacement, found.normal_force, found.tie_force)
+            return Final(replace(self.candidate.answer, friction_force=None))
         if presses(self._state) and not unique_on(self._state).forces:
             with in_any_time():  # the problem is solved, and this takes little beside that
                 self._state = with_least_forces(self._state, self._effort)
         given = _candidate(self._state)
-        remember(self._state, Answer(given.displacement, given.normal_force, None, given.tie_force))
-        found = self._scaling.unscale(given)
-        return self._at_rest(Final(found.displacement, found.normal_force, found.tie_force, polished=True))
+        remember(self._state, given.answer)
+        return self._at_rest(Final(self._scaling.unscale(given).answer, polished=True))
 
     def _polish_in_time(self) -> None:
         """Settle the closed contacts of a backend's answer, or of a nearer one; leave it as it is when time is up."""
@@ -279,10 +278,12 @@ class SparseRun(Run):
             return final
         if self._state is None or unique_on(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it
-        u, force, tie = final.displacement, final.normal_force, final.tie_force
-        answer = Answer(u, force, None, tie)
+        answer = final.answer
         shift, free = shift_to_least_norm(problem, condense(problem), answer, pushing_contacts(problem, answer))
-        return replace(final, displacement=u + shift, free_motions=described(problem, free)) if free.shape[1] else final
+        if not free.shape[1]:
+            return final
+        resting = replace(answer, displacement=answer.displacement + shift)
+        return replace(final, answer=resting, free_motions=described(problem, free))
 
     def work(self, corrections: int) -> Work:
         """Return what the answer has cost so far, factorisations inside the backend not counted."""
@@ -335,9 +336,9 @@ class SparseRun(Run):
                 found = find("clarabel").solve(looser, Settings(OVERLAPPING, MOST_STEPS, self._settings.now.time_limit))
             except (BackendFailed, BackendMissing, Unsupported):
                 return
-            weights = np.concatenate([found.normal_force, found.tie_force]) / lengths
-            refuse_ray(self.problem, Candidate(np.zeros(n), weights[:m], weights[m:]))
-            u = u + size * found.displacement[:n]
+            weights = np.concatenate([found.answer.normal_force, found.answer.tie_force]) / lengths
+            refuse_ray(self.problem, Answer(np.zeros(n), weights[:m], None, weights[m:]))
+            u = u + size * found.answer.displacement[:n]
 
 
 def by_sparse_systems(
@@ -389,4 +390,4 @@ def _candidate(state: ClosedState, status: str = "") -> Candidate:
     """Return the answer of a state in doubles, with zeros in place of forces that are rounding."""
     answer = state.answer.double()
     force = answer.normal_force.clip(min=0.0)
-    return Candidate(answer.displacement, force, answer.tie_force, status=status)
+    return Candidate(Answer(answer.displacement, force, None, answer.tie_force), status=status)

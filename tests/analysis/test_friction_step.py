@@ -62,7 +62,8 @@ def _stuck_in_space(problem: cq.ContactProblem, *_: object, **__: object) -> cq.
         friction.ravel()[rows] = solution.tie_force
         closed = np.flatnonzero(solution.normal_force > 0)
     status = np.where(solution.normal_force > 0, "stick", "open")
-    return replace(solution, problem=problem, friction_force=friction, contact_status=status)
+    answer = replace(solution.answer, friction_force=friction)
+    return replace(solution, problem=problem, answer=answer, contact_status=status)
 
 
 @pytest.mark.sampled(2)

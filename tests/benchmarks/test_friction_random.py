@@ -72,9 +72,9 @@ def test_the_law_written_out_refuses_what_is_spoiled() -> None:
     right = cq.solve(posed.problem)
     assert np.any(right.friction_force != 0)
     assert broken(posed, right) < 1e-12
-    assert broken(posed, replace(right, friction_force=-right.friction_force)) > 1e-3
-    assert broken(posed, replace(right, normal_force=1.001 * right.normal_force)) > 1e-5
-    assert broken(posed, replace(right, displacement=right.displacement + 1e-3)) > 1e-5
+    assert broken(posed, replace(right, answer=replace(right.answer, friction_force=-right.friction_force))) > 1e-3
+    assert broken(posed, replace(right, answer=replace(right.answer, normal_force=1.001 * right.normal_force))) > 1e-5
+    assert broken(posed, replace(right, answer=replace(right.answer, displacement=right.displacement + 1e-3))) > 1e-5
     problem, _ = local_problem("local unsymmetric 2D", 1)
     found = cq.solve(problem)
     assert broken_locally(problem, found) < 1e-12
@@ -99,8 +99,8 @@ def test_at_rest_under_nothing_an_answer_is_held_against_the_gap_that_is_there()
     )  # fmt: skip
     posed = Posed(problem, problem, Units(np.ones(2), np.ones(2), 1.0, 1.0), True)
     rest = cq.solve(problem)
-    noisy = replace(rest, displacement=np.array([2e-16, 5e-16]))
+    noisy = replace(rest, answer=replace(rest.answer, displacement=np.array([2e-16, 5e-16])))
     assert broken(posed, noisy) < 1e-14  # of nothing at all it would be a large part
-    assert broken(posed, replace(rest, displacement=np.array([1e-6, 0.0]))) > 1e-7
+    assert broken(posed, replace(rest, answer=replace(rest.answer, displacement=np.array([1e-6, 0.0])))) > 1e-7
     loaded = Posed(problem, problem.replace(load=[1e-15, 0.0]), posed.units, True)
     assert broken(loaded, noisy) > 1e-2

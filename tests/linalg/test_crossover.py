@@ -83,8 +83,7 @@ def test_the_energy_of_a_rounded_corner_is_enclosed(seed: int) -> None:
 def test_planes_that_conflict_are_told_apart(seed: int) -> None:
     problem, point, forces = corner(seed)
     twin, scaling = equilibrated(problem)
-    scaled = scaling.scale(Candidate(point, forces, np.zeros(0)))
-    start = cq.model.solution.Answer(scaled.displacement, scaled.normal_force, None, scaled.tie_force)
+    start = scaling.scale(Answer(point, forces, None, np.zeros(0)))
     held = nearest_state(twin, np.ones(problem.contacts, dtype=bool), ExtendedAnswer.of(start), Effort())
     assert held.holds
     assert held.length_residual > MET_TOGETHER
@@ -179,8 +178,7 @@ def reached(problem: cq.ContactProblem, closed: list[int], driven: bool) -> np.n
     nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
     state = nearest_state(twin, at, ExtendedAnswer.of(nothing), Effort(), driven)
     assert state.holds
-    found = state.answer.double()
-    return scaling.unscale(Candidate(found.displacement, found.normal_force, found.tie_force)).displacement
+    return scaling.unscale(Candidate(state.answer.double())).displacement
 
 
 def test_what_a_contact_in_tension_held_closes_the_first_contact_on_its_way() -> None:

@@ -14,7 +14,7 @@ import contactqp as cq
 from contactqp.linalg import existence
 from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.linalg.interior_point import refuse_ray
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer
 
 METHODS = ("active-set", "lemke", "daqp", "clarabel", "lagrange-multiplier")
 BAR = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -299,5 +299,5 @@ def test_a_smooth_motion_of_a_long_chain_is_no_proof(size: int) -> None:
     smooth = np.sin(np.pi * (np.arange(size) + 1) / (size + 1))
     assert np.max(abs(K @ smooth)) < 2e-14 * (10_000 / size) ** 4
     problem = cq.ContactProblem(K, np.ones(size), -sp.identity(size, format="csr"), np.ones(size))
-    diverged = Candidate(1e20 * smooth, np.zeros(size), np.zeros(0), claimed=False)
+    diverged = Answer(1e20 * smooth, np.zeros(size), None, np.zeros(0))
     refuse_ray(problem, diverged)

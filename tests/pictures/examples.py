@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -91,3 +91,8 @@ def uniaxial(points: np.ndarray) -> np.ndarray:
     u = POISSON * strain * points
     u[:, -1] = -strain * points[:, -1]
     return u
+
+
+def with_friction(solution: cq.Solution, friction_force: np.ndarray) -> cq.Solution:
+    """Return a solution with these friction forces in place of its own."""
+    return replace(solution, answer=replace(solution.answer, friction_force=friction_force))

@@ -14,7 +14,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.pictures.contact_fields import contact_fields, fields_of_deck
 from contactqp.pictures.drawing import figure
 from tests.decks import STACK, lame_force, press_fit, two_blocks, write
-from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial
+from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial, with_friction
 
 
 @pytest.mark.sampled(3)
@@ -115,10 +115,10 @@ def test_a_held_contact_has_no_known_force_and_says_so():
     assert np.isnan(fields.pressure[held]).all()
     assert np.isfinite(fields.force[~held]).all()
     assert fields.gap[held] == 0
-    rubbing = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, None])
-    (with_friction,) = contact_fields(found.system, found.pairings, rubbing).pairings
-    assert np.isnan(with_friction.friction[held]).all()
-    np.testing.assert_allclose(with_friction.friction[~held], np.outer(fields.force[~held], [-0.5, 0.0]), atol=1e-12)
+    rubbing = with_friction(found.solution, 0.5 * found.solution.normal_force[:, None])
+    (rubbed,) = contact_fields(found.system, found.pairings, rubbing).pairings
+    assert np.isnan(rubbed.friction[held]).all()
+    np.testing.assert_allclose(rubbed.friction[~held], np.outer(fields.force[~held], [-0.5, 0.0]), atol=1e-12)
 
 
 def test_open_contacts_keep_their_gap():
@@ -137,7 +137,7 @@ def test_open_contacts_keep_their_gap():
 
 def test_friction_pushes_against_the_slip_on_the_body():
     found = block()
-    solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])
+    solution = with_friction(found.solution, 0.5 * found.solution.normal_force[:, None])
     fields = contact_fields(found.system, found.pairings, solution)
     np.testing.assert_allclose(fields.bodies[0].contact_force.sum(axis=0), [-PRESSURE, 2 * PRESSURE], rtol=1e-11)
     (pairing,) = fields.pairings
@@ -149,9 +149,7 @@ def test_friction_pushes_against_the_slip_on_the_body():
 def test_friction_of_a_mortar_is_that_of_the_nodes_that_it_belongs_to():
     found = stack()
     forces = found.solution.normal_force
-    fields = contact_fields(
-        found.system, found.pairings, replace(found.solution, friction_force=0.25 * forces[:, None])
-    )
+    fields = contact_fields(found.system, found.pairings, with_friction(found.solution, 0.25 * forces[:, None]))
     for pairing in fields.pairings:
         np.testing.assert_allclose(np.linalg.norm(pairing.friction, axis=1), 0.25 * pairing.force, rtol=1e-10)
         np.testing.assert_allclose(np.sum(pairing.friction * pairing.direction, axis=1), 0.0, atol=1e-12)
@@ -160,7 +158,7 @@ def test_friction_of_a_mortar_is_that_of_the_nodes_that_it_belongs_to():
 def test_friction_in_space_lies_in_the_plane_of_contact():
     found = cube("hex8")
     friction = found.solution.normal_force[:, None] * [0.3, -0.4]
-    fields = contact_fields(found.system, found.pairings, replace(found.solution, friction_force=friction))
+    fields = contact_fields(found.system, found.pairings, with_friction(found.solution, friction))
     (pairing,) = fields.pairings
     np.testing.assert_allclose(np.linalg.norm(pairing.friction, axis=1), 0.5 * pairing.force, rtol=1e-10)
     np.testing.assert_allclose(pairing.friction[:, 2], 0.0, atol=1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ from contactqp.pictures.style import (
     sample,
 )
 from tests.elements.bodies import PLANE, SOLID, distorted
-from tests.pictures.examples import MODULUS, PRESSURE, block, cube, solved, stack, unloaded
+from tests.pictures.examples import MODULUS, PRESSURE, block, cube, solved, stack, unloaded, with_friction
 
 pytest.importorskip("matplotlib")
 
@@ -74,7 +73,7 @@ def test_positions_and_values_are_those_of_the_fields(kind, scale):
 @pytest.mark.slow
 def test_friction_tilts_the_arrows_and_not_the_pressure():
     found = block()
-    solution = replace(found.solution, friction_force=0.5 * found.solution.normal_force[:, np.newaxis])
+    solution = with_friction(found.solution, 0.5 * found.solution.normal_force[:, None])
     result = figure(contact_fields(found.system, found.pairings, solution), scale=10.0)
     drawn = {artist.get_gid(): artist for artist in result.axes[0].collections}
     arrows, plain = drawn["pressure arrows"], drawn["pressure"].get_paths()
@@ -89,7 +88,7 @@ def test_friction_tilts_the_arrows_and_not_the_pressure():
 def test_the_map_of_a_pairing_in_space_has_arrows_of_friction():
     found = cube("hex8")
     friction = found.solution.normal_force[:, None] * [0.3, -0.4]
-    fields = contact_fields(found.system, found.pairings, replace(found.solution, friction_force=friction))
+    fields = contact_fields(found.system, found.pairings, with_friction(found.solution, friction))
     (arrows,) = [c for axes in figure(fields).axes for c in axes.collections if c.get_gid() == "friction"]
     along = fields.pairings[0].friction[:, :2] / np.linalg.norm(fields.pairings[0].friction, axis=1, keepdims=True)
     np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1) / np.hypot(arrows.U, arrows.V)[:, None], along)

@@ -11,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import contactqp as cq
+from contactqp.model.solution import Answer
 from contactqp.solving.methods import Method
 from tests.examples import (
     CANTILEVER_FORCE,
@@ -264,7 +265,7 @@ def test_a_method_that_lies_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> 
     from contactqp.solving.methods import Settings
 
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
-        return Candidate(np.zeros(problem.dimension), np.zeros(problem.contacts), np.zeros(problem.ties))
+        return Candidate(Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(problem.ties)))
 
     monkeypatch.setitem(methods._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
     with pytest.raises(cq.NotCertified, match="refuses"):

@@ -181,7 +181,12 @@ def _spoiling(*names: str):
 
         def nothing(problem, settings):
             candidate = method.solve(problem, settings)
-            return replace(candidate, normal_force=0 * candidate.normal_force, displacement=0 * candidate.displacement)
+            return replace(
+                candidate,
+                answer=replace(
+                    candidate.answer, normal_force=0 * candidate.normal_force, displacement=0 * candidate.displacement
+                ),
+            )
 
         return replace(method, solve=nothing, corrections=0)
 

@@ -11,7 +11,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.certificate import certificate_of
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows, truth
@@ -47,7 +47,7 @@ def _believe_everything(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _half_the_force(_: cq.ContactProblem, __: Settings) -> Candidate:
-    return Candidate(np.array(EXACT[0]), np.array([47.5]), np.zeros(0))
+    return Candidate(Answer(np.array(EXACT[0]), np.array([47.5]), None, np.zeros(0)))
 
 
 def test_exact_methods_are_right_against_the_exact_answer() -> None:

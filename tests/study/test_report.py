@@ -16,7 +16,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.certificate import certificate_of
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import reporting as report
@@ -151,7 +151,7 @@ def test_without_its_libraries_no_page_is_left(
 @pytest.mark.slow
 def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
-        return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
+        return Candidate(Answer(np.zeros(problem.dimension), np.ones(problem.contacts), None, np.zeros(problem.ties)))
 
     monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
     honest = certificate_of

@@ -18,12 +18,12 @@ from contactqp.analysis.large.active_kkt import negative_on, positive_semidefini
 from contactqp.analysis.large.constrained_newton import Balance, find_balance
 from contactqp.analysis.large.deformation import Forces, LargeHistory, LargeSolution, LoadedBody, Snap
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_displacement, slipped
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.elements.deformable import ContactGeometry, LinearisedContacts
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.solution import Work
+from contactqp.model.solution import Answer, Work
 
 # A step that does not converge is halved, its halves likewise, at most so often.
 MOST_HALVINGS = 4
@@ -232,7 +232,8 @@ def large_solution(
     friction = forces.friction
     if friction is None and problem.slip_origin is not None:
         friction = np.zeros_like(problem.slip_origin)
-    certificate = compute_certificate(problem, now.displacement, forces.normal, friction, forces.tie)
+    answer = Answer(now.displacement, forces.normal, friction, forces.tie)
+    certificate = certificate_of(problem, answer)
     if step.springs:
         note = (
             f"the tangent is indefinite: certified on springs of {step.springs:.3g} that are relaxed at the answer; "
@@ -249,10 +250,7 @@ def large_solution(
     found = step.found
     solution = LargeSolution(
         problem=problem,
-        displacement=now.displacement,
-        normal_force=forces.normal,
-        friction_force=friction,
-        tie_force=forces.tie,
+        answer=answer,
         contact_status=contact_status(problem, certificate),
         free_motions=() if found is None else found.free_motions,
         certificate=certificate,

@@ -6,7 +6,7 @@ the closed set is found by signs (`active_kkt`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -188,7 +188,7 @@ def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, bef
         solution = error.solution
     du = solution.displacement - now.displacement if problem.frictional else solution.displacement
     forces = Forces(solution.normal_force, solution.tie_force, solution.friction_force if problem.frictional else None)
-    candidate = Candidate(solution.displacement, solution.normal_force, solution.tie_force)
+    candidate = Candidate(replace(solution.answer, friction_force=None))
     found = Found(candidate, solution.free_motions, solution.method, solution.work, solution)
     return NewtonStep(problem, du, forces, found=found)
 
@@ -212,10 +212,10 @@ def _refined(problem: ContactProblem, settings: NewtonSettings, start: Candidate
         final = run.final()
     if not final.polished:
         return None
-    forces = Forces(final.normal_force, final.tie_force, None)
-    candidate = Candidate(final.displacement, final.normal_force, final.tie_force)
-    found = Found(candidate, final.free_motions, run.name, run.work(final.corrections))
-    return NewtonStep(problem, final.displacement, forces, found=found)
+    answer = final.answer
+    forces = Forces(answer.normal_force, answer.tie_force, None)
+    found = Found(Candidate(answer), final.free_motions, run.name, run.work(final.corrections))
+    return NewtonStep(problem, answer.displacement, forces, found=found)
 
 
 def _indefinite(

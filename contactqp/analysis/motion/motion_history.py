@@ -14,14 +14,14 @@ import numpy as np
 from contactqp.analysis.history import Energies, Event, History, LazySolutions, contact_changes
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import AT_REST, StepProblem, StepResult
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.errors import ContactQPError, Unsupported, counted
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.solution import Certificate, Solution
+from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.model.summary import wrapped
 from contactqp.solving.solve import solve
 
@@ -172,8 +172,8 @@ def _solution_at(motion: Motion, k: int) -> Moving:
     if problem.slip_origin is not None and problem.tangent is not None:
         problem = problem.replace(slip_origin=problem.tangent @ before)
     step, found = _step_problem(motion, k)
-    friction = None if step.slip_origin is None else _shaped(found.friction, step)
-    certificate = compute_certificate(step, found.unknown, found.normal, friction, found.tie)
+    dragged = None if step.slip_origin is None else _shaped(found.friction, step)
+    certificate = certificate_of(step, Answer(found.unknown, found.normal, dragged, found.tie))
     if k and not certificate.passed:
         certificate = _of_nearest_answer(motion, k, step, found) or certificate
     status = contact_status(step, certificate)
@@ -186,12 +186,10 @@ def _solution_at(motion: Motion, k: int) -> Moving:
         certificate = replace(certificate, notes=(*certificate.notes, note))
     force = np.zeros(problem.contacts)
     force[: len(state.normal_force)] = state.normal_force
+    friction = None if problem.slip_origin is None else _shaped(state.friction_force, problem)
     return Moving(
         problem=problem,
-        displacement=state.displacement,
-        normal_force=force,
-        friction_force=None if problem.slip_origin is None else _shaped(state.friction_force, problem),
-        tie_force=state.tie_force,
+        answer=Answer(state.displacement, force, friction, state.tie_force),
         contact_status=status if len(status) == problem.contacts else np.where(force > 0, "closed", "open"),
         free_motions=(),
         certificate=certificate,

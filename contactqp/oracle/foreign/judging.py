@@ -50,8 +50,7 @@ def _from(problem: ContactProblem, answer: Answer) -> Solution:
     """Return the equilibrium that Newton's method finds from the answer."""
     if (near := near_one(problem)) is not None:
         return of_problem(near, _from(near.problem, near.answer(answer)))
-    start = Candidate(answer.displacement, answer.normal_force, answer.tie_force, friction_force=answer.friction_force)
-    return begin(problem, start=start).finish()
+    return begin(problem, start=Candidate(answer)).finish()
 
 
 # Said where some gaps are not `determined_gaps`.

@@ -161,14 +161,11 @@ def solve_friction_by_iteration(
             raise
         found, steps, status = fixed_point.last, len(fixed_point.changes), str(error)
     return Candidate(
-        found.displacement,
-        found.normal_force,
-        found.tie_force,
+        found,
         iterations=steps,
         claimed=not status,
         status=status,
         history=tuple(fixed_point.changes),
-        friction_force=found.friction_force,
     )
 
 
@@ -253,9 +250,10 @@ class _FixedPoint:
         # What the first answers have not settled, later steps do.
         if self.changes and not candidate.claimed:
             raise self._not_converged(candidate.status)
-        tangential[rows.tangents(states.stick)] += candidate.tie_force[k:]
+        found = candidate.answer
+        tangential[rows.tangents(states.stick)] += found.tie_force[k:]
         friction = tangential[rows.plain :].reshape(m, rows.width)
-        return FrictionalAnswer(candidate.displacement, candidate.normal_force, friction, candidate.tie_force[:k])
+        return FrictionalAnswer(found.displacement, found.normal_force, friction, found.tie_force[:k])
 
     def _change(self, missing: Vector, bound: Vector) -> float:
         size, largest = (float(np.max(abs(part), initial=0.0)) for part in (missing, bound))

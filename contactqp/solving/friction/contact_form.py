@@ -356,8 +356,8 @@ def _near(
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
     """Return where the iteration starts: the forces of a warm start, or those that hold the bodies, or none."""
     warm = settings.warm_start
-    if warm is not None and all_finite(warm):
-        balanced = form.scaled(contacts.scaled_force(warm.normal_force, warm.friction_force))
+    if warm is not None and all_finite(warm.answer):
+        balanced = form.scaled(contacts.scaled_force(warm.answer.normal_force, warm.answer.friction_force))
     if balanced is None:
         return Iterate.nothing(form)
     return Iterate.at(form, balanced, form.joint_force(balanced))

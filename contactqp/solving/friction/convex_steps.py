@@ -199,8 +199,8 @@ class ConvexSteps:
             condense(inner)
         except InvalidProblem as error:
             raise NotConverged(f"{self._method.name}: delassus, of which printing left few digits: {error}") from error
-        candidate = solve_convex(self._method, inner, self._settings)
-        return candidate.displacement, candidate.tie_force
+        answer = solve_convex(self._method, inner, self._settings).answer
+        return answer.displacement, answer.tie_force
 
     def _parted(self, x: Vector, hard: Vector) -> tuple[Array, Vector]:
         form, size = self._form, self._form.m * self._form.d

@@ -31,7 +31,7 @@ from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows
 from contactqp.model.arrays import Mask, Vector, all_finite, stated_limit
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Solution
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
@@ -81,7 +81,7 @@ def solve_newton(
     began = time.perf_counter()
     system = ForceSystem(problem, condensation)
     lengths = system.lengths(problem, condensation.reduce_load(problem.load)[0])
-    status = _touching(system, lengths) if start is None else combination_of(problem, start)
+    status = _touching(system, lengths) if start is None else combination_of(problem, start.answer)
     limit = None if time_limit is None else began + time_limit
     found, steps = search(system, lengths, status, max_iter=max_iter, until=limit)
     answer = refined(problem, condensation, system, lengths, found)
@@ -203,15 +203,15 @@ def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
     return system.plain(np.where(push > 0, status, OPEN).astype(np.int8))
 
 
-def combination_of(problem: ContactProblem, candidate: Candidate | Solution) -> Status:
+def combination_of(problem: ContactProblem, answer: Answer) -> Status:
     """Return the states of an answer: closed where it pushes, slipping where E_T u has left the origin."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("combination of a problem without friction")
-    origin, u = problem.slip_origin.ravel(), candidate.displacement
+    origin, u = problem.slip_origin.ravel(), answer.displacement
     slip = problem.tangent @ u - origin
     still = ratio(abs(slip), lengths_that_meet(problem, problem.tangent, origin, u)) <= STILL
     status = np.where(still, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
-    return np.where(candidate.normal_force > 0, status, OPEN).astype(np.int8)
+    return np.where(answer.normal_force > 0, status, OPEN).astype(np.int8)
 
 
 def _one_changed(status: Status, following: Status, wrong: Vector) -> Status:
@@ -297,10 +297,11 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
 def _first(problem: ContactProblem, settings: Settings) -> Status:
     """Return the combination of a known answer, or of the answer without friction, slipping where that slips far."""
     if settings.warm_start is not None:
-        return combination_of(problem, settings.warm_start)
-    found = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
-    if found is None:
+        return combination_of(problem, settings.warm_start.answer)
+    identified = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
+    if identified is None:
         raise NotConverged("newton: the contacts that close without friction were not found")
+    found = identified.answer
     assert problem.tangent is not None
     assert problem.slip_origin is not None
     assert problem.friction is not None

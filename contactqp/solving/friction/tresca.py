@@ -150,7 +150,7 @@ class _Run:
         that which they are of."""
         rows = self._rows
         if self._start is not None:
-            return rows.coefficient * np.maximum(self._start.normal_force * rows.normal_length, 0.0), None
+            return rows.coefficient * np.maximum(self._start.answer.normal_force * rows.normal_length, 0.0), None
         try:
             found = self._without_friction()
             return self.bound_of(found), found
@@ -169,7 +169,7 @@ class _Run:
         condensed, rows = self._method.solve_condensed, self._rows
         if condensed is None or self._condensation.rigid.count:
             return self.with_bound(np.zeros(self._problem.contacts))
-        found = condensed(self._problem, self._condensation, self._limited())
+        found = condensed(self._problem, self._condensation, self._limited()).answer
         normal, tie = found.normal_force * rows.normal_length, found.tie_force * rows.tie_length
         return _Step(found.displacement / rows.scale, normal, np.zeros(len(normal)), tie)
 
@@ -219,8 +219,8 @@ class _Run:
         inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
         if condensation.rigid.count:
             refuse_driven_motion(inner, condensation.rigid)
-        candidate = solve_convex(self._method, inner, self._limited())
-        return candidate.displacement, candidate.normal_force, candidate.tie_force
+        answer = solve_convex(self._method, inner, self._limited()).answer
+        return answer.displacement, answer.normal_force, answer.tie_force
 
     def _limited(self) -> Settings:
         """Return the settings of a convex problem with the time that is left; raise NotConverged where none is."""
@@ -270,7 +270,7 @@ def solve_convex(method: Method, problem: ContactProblem, settings: Settings) ->
         candidate = scaling.unscale(method.solve(twin, settings))
     else:
         candidate = method.solve(problem, settings)
-    if not all_finite(candidate):
+    if not all_finite(candidate.answer):
         raise NotConverged(f"{method.name}: {candidate.status or 'its answer is not finite'}")
     return candidate
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -193,12 +194,13 @@ def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None
     if not isinstance(warm_start, Solution):
         raise InvalidProblem(f"warm_start: expected a Solution, got {type(warm_start).__name__}")
     shapes = ((problem.dimension,), (problem.contacts,), (problem.ties,))
-    values = (warm_start.displacement, warm_start.normal_force, warm_start.tie_force)
+    answer = warm_start.answer
+    values = (answer.displacement, answer.normal_force, answer.tie_force)
     if tuple(value.shape for value in values) != shapes:
         raise InvalidProblem(f"warm_start: expected a solution of {problem!r}, got one of {warm_start.problem!r}")
-    friction = warm_start.friction_force
+    friction = answer.friction_force
     fits = problem.slip_origin is not None and friction is not None and friction.shape == problem.slip_origin.shape
-    return Candidate(*values, friction_force=friction if fits else None)
+    return Candidate(answer if fits else replace(answer, friction_force=None))
 
 
 def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settings, algorithm: str | None) -> None:

@@ -22,7 +22,7 @@ from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Method, Settings
 
 # More steps than this mean that the sets alternate; the safeguard is cheaper.
@@ -41,7 +41,8 @@ def solve_active_set(problem: ContactProblem, settings: Settings) -> Candidate:
     condensation = condense(problem)
     found = solve_condensed(problem, condensation, settings, problem)
     _, inner = condensation.reduce_load(problem.load)
-    return replace(found, displacement=condensation.expand(found.displacement, inner))
+    whole = replace(found.answer, displacement=condensation.expand(found.answer.displacement, inner))
+    return replace(found, answer=whole)
 
 
 def solve_condensed(
@@ -65,7 +66,7 @@ def solve_condensed(
     anchor = _rigid_answer(problem, operator, load) if condensation.rigid.count else np.zeros(len(load))
     force = np.zeros(len(operator.W))
     if settings.warm_start is not None:
-        force[: problem.contacts] = settings.warm_start.normal_force / operator.row_scale[: problem.contacts]
+        force[: problem.contacts] = settings.warm_start.answer.normal_force / operator.row_scale[: problem.contacts]
     # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
     doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
@@ -86,7 +87,7 @@ def solve_condensed(
         if before is None or not np.array_equal(closed, before):  # a set that does not hold, does not hold later
             answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
-            return Candidate(*answer, iterations=steps)
+            return Candidate(answer, iterations=steps)
         before = closed
         if not condensation.rigid.count:
             break
@@ -94,9 +95,9 @@ def solve_condensed(
         return _without_anchors(shown or condensation.reduced_problem(problem, load, inner), settings, steps)
     except NotConverged:
         answer = _equilibrium_on(problem, condensation, operator, load, size, doubtful)
-        if answer is None or np.any(_penetrated(condensation, problem, answer[0])):
+        if answer is None or np.any(_penetrated(condensation, problem, answer.displacement)):
             raise
-        return Candidate(*answer, iterations=steps)
+        return Candidate(answer, iterations=steps)
 
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
@@ -203,7 +204,7 @@ def _equilibrium_on(
     load: Vector,
     size: Vector,
     closed: Indices,
-) -> tuple[Vector, Vector, Vector] | None:
+) -> Answer | None:
     """Return x, l_N and tie forces on a set without anchors; None where signs fail or a free motion is driven."""
     saddle = saddle_point(condensation, closed)
     x, on_set, tie_force = saddle.solve(load, problem.gap[closed], problem.tie_value)
@@ -223,7 +224,7 @@ def _equilibrium_on(
         penetrated[closed] = False
         if penetrated.any():
             return None
-    return x, np.maximum(force, 0.0), tie_force
+    return Answer(x, np.maximum(force, 0.0), None, tie_force)
 
 
 def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) -> Mask:

@@ -117,13 +117,13 @@ def _uzawa_frictionless(problem: ContactProblem, settings: Settings, beta: Vecto
         return penalty_loop(NAME, problem.replace(gap=problem.gap - force / beta), inner, beta, refined=True)
 
     def forces_of(step: Candidate) -> Vector:
-        return np.maximum(step.normal_force, 0.0)
+        return np.maximum(step.answer.normal_force, 0.0)
 
     def violation(step: Candidate) -> float:
-        return _violation(problem, step.displacement, forces_of(step))
+        return _violation(problem, step.answer.displacement, forces_of(step))
 
     warm = settings.warm_start
-    force = np.zeros(problem.contacts) if warm is None else np.maximum(warm.normal_force, 0.0)
+    force = np.zeros(problem.contacts) if warm is None else np.maximum(warm.answer.normal_force, 0.0)
     return _uzawa(settings, force, answer, forces_of, violation)
 
 
@@ -155,9 +155,10 @@ def _uzawa(
         elif settings.max_iter is None and len(history) > STALLED + max(map(int, map(np.argmin, (history, changes)))):
             status = f"{NAME}: no nearer in {STALLED} iterations than {min(history):.1e}"
     claimed = history[-1] <= settings.tolerance and step.claimed
+    last = dataclasses.replace(step.answer, normal_force=force[: len(step.answer.normal_force)])
     return dataclasses.replace(
         step,
-        normal_force=force[: len(step.normal_force)],
+        answer=last,
         iterations=len(history),
         claimed=claimed,
         status=status,
@@ -237,26 +238,27 @@ def _uzawa_frictional(problem: ContactProblem, settings: Settings, beta: tuple[V
         return frictional_penalty_loop(NAME, shifted, inner, beta, refined=True)
 
     def forces_of(step: Candidate) -> Vector:
-        return np.concatenate([np.maximum(step.normal_force, 0.0), _friction_of(step)])
+        return np.concatenate([np.maximum(step.answer.normal_force, 0.0), _friction_of(step)])
 
     def violation(step: Candidate) -> float:
-        u = step.displacement
+        u = step.answer.displacement
         slip = tangent @ u - origin
         against = np.maximum(-np.sign(_friction_of(step)) * slip, 0.0)
         named = np.asarray(step.contact_status)
         wrong = np.select([named == "stick", named == "slip"], [np.abs(slip), against], 0.0)
         wrong = np.where(coefficients(problem) > 0, wrong, 0.0)
-        normal = _violation(problem, u, np.maximum(step.normal_force, 0.0))
+        normal = _violation(problem, u, np.maximum(step.answer.normal_force, 0.0))
         return max(normal, _worst(wrong, lengths_that_meet(problem, tangent, origin, u)))
 
     warm, force = settings.warm_start, np.zeros(2 * m)
     if warm is not None:
-        force[:m] = np.maximum(warm.normal_force, 0.0)
+        force[:m] = np.maximum(warm.answer.normal_force, 0.0)
     return _uzawa(settings, force, answer, forces_of, violation)
 
 
 def _friction_of(step: Candidate) -> Vector:
-    return np.zeros_like(step.normal_force) if step.friction_force is None else step.friction_force[:, 0]
+    friction = step.answer.friction_force
+    return np.zeros_like(step.answer.normal_force) if friction is None else friction[:, 0]
 
 
 METHODS = (

@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Method, Settings
 
 
@@ -232,8 +232,8 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
     if not np.all(reached):
         candidate = solve_quadratic_program(backend, problem.with_contacts(np.flatnonzero(reached)), settings)
         force = np.zeros(problem.contacts)
-        force[reached] = candidate.normal_force
-        return replace(candidate, normal_force=force)
+        force[reached] = candidate.answer.normal_force
+        return replace(candidate, answer=replace(candidate.answer, normal_force=force))
     options = backend_options(backend, settings)
     bounds = _bounds(problem) if backend.bounds and problem.dimension > BOUNDS_PAY else None
     program, initial = _program(backend, problem, bounds), _initial(backend, settings)
@@ -333,7 +333,7 @@ def _initial(backend: Backend, settings: Settings) -> Vector | None:
     # A start is a hint: a backend that takes none finds the same answer without.
     if settings.warm_start is None or not backend.warm_start:
         return None
-    return settings.warm_start.displacement
+    return settings.warm_start.answer.displacement.copy()  # DAQP takes no array that it cannot write to
 
 
 @cache
@@ -377,7 +377,7 @@ def _candidate(problem: ContactProblem, solution: Any, iterations: int | None, s
             (solution.y if problem.ties else (), problem.ties),
         )
     )
-    return Candidate(displacement, force, tie_force, iterations, bool(solution.found), status)
+    return Candidate(Answer(displacement, force, None, tie_force), iterations, bool(solution.found), status)
 
 
 def _values(values: Any, size: int, status: str) -> Vector:

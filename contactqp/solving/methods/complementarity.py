@@ -24,7 +24,7 @@ from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
 from contactqp.model.arrays import Array, Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.textbook_algebra import (
     TEXTBOOK_ROUNDING,
@@ -210,7 +210,8 @@ def solve_lemke(problem: ContactProblem, settings: Settings) -> Candidate:
     w, z = basic_solution(lcp, basis)
     force, gap = lcp.force_and_gap(w, z)
     displacement, tie_force = expand(problem, reduced, lcp, force, gap)
-    return Candidate(displacement, force, tie_force, pivots, claimed=not status, status=f"lemke: {status or 'solved'}")
+    answer = Answer(displacement, force, None, tie_force)
+    return Candidate(answer, pivots, claimed=not status, status=f"lemke: {status or 'solved'}")
 
 
 def lemke_basis(q: Vector, M: Dense, limit: int, time_limit: float | None = None) -> tuple[Mask, int, str]:
@@ -331,12 +332,12 @@ def solve_projected_gauss_seidel(problem: ContactProblem, settings: Settings) ->
     if reduced.motions.shape[1]:
         raise Unsupported(f"{name}: bodies that only contacts hold have no compliance E K^-1 E'; use lemke")
     lcp = complementarity_problem(problem, reduced)
-    start = np.zeros(problem.contacts) if settings.warm_start is None else settings.warm_start.normal_force
+    start = np.zeros(problem.contacts) if settings.warm_start is None else settings.warm_start.answer.normal_force
     force, history = _sweeps(lcp, np.maximum(start, 0.0), settings)
     displacement, tie_force = expand(problem, reduced, lcp, force, lcp.offset)
     claimed = history[-1] <= settings.tolerance
     status = f"{name}: {'converged to' if claimed else 'stopped at'} {history[-1]:.1e} after {len(history)} sweeps"
-    return Candidate(displacement, force, tie_force, len(history), claimed, status, history)
+    return Candidate(Answer(displacement, force, None, tie_force), len(history), claimed, status, history)
 
 
 def _sweeps(lcp: Complementarity, force: Vector, settings: Settings) -> tuple[Vector, tuple[float, ...]]:

@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported, shown
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.backends import BACKENDS, backend_options, collected_words, hear_greeting
 from contactqp.solving.methods.method import Method, Settings
 
@@ -52,14 +52,13 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
             # cvxpy hands through whatever its solvers raise, Rust's panics included. Nothing else runs here.
             raise BackendFailed(f"{NAME}: {solver}: {type(error).__name__}: {error}") from error
     status = "; ".join([f"{NAME}: {solver}: {model.status}", *words])
-    return Candidate(
+    answer = Answer(
         displacement=_values(u.value, problem.dimension, status),
         normal_force=_values(contacts[0].dual_value if contacts else (), problem.contacts, status),
+        friction_force=None,
         tie_force=_values(ties[0].dual_value if ties else (), problem.ties, status),
-        iterations=_iterations(model),
-        claimed=model.status == cp.OPTIMAL,
-        status=status,
     )
+    return Candidate(answer, iterations=_iterations(model), claimed=model.status == cp.OPTIMAL, status=status)
 
 
 def _cvxpy() -> Any:

@@ -22,7 +22,7 @@ from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.model.arrays import Indices, Mask, Vector, tell
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 
 # The bodies without contact are solved to this part of their energy norm: the first set comes from them.
@@ -117,10 +117,10 @@ class _Search:
     def start(self, candidate: Candidate | None) -> None:
         """Choose the first displacement and set: those of a known solution, or of the bodies without contact."""
         if candidate is not None and self._loaded(candidate):
-            self.x = candidate.displacement.copy()
+            self.x = candidate.answer.displacement.copy()
             self.residual = self.problem.load - self.iteration.product(self.x)
             self.before, self.residual_before = np.zeros_like(self.x), self.problem.load
-            self.closed = self.iteration.supported(self.problem, candidate.normal_force > 0, self.x)
+            self.closed = self.iteration.supported(self.problem, candidate.answer.normal_force > 0, self.x)
             return
         resting = self.iteration.rest(self.problem)
         if resting is not None:
@@ -139,7 +139,7 @@ class _Search:
     def _loaded(self, candidate: Candidate) -> bool:
         """Return whether the load is more than rounding of what a known displacement takes."""
         scale, norm = 1 / np.sqrt(self.iteration.diagonal), self.iteration.norm
-        taken = norm(scale * self.iteration.product(candidate.displacement))
+        taken = norm(scale * self.iteration.product(candidate.answer.displacement))
         return norm(scale * self.problem.load) > UNLOADED * taken
 
     def run(self) -> Candidate:
@@ -187,9 +187,7 @@ class _Search:
             force = np.where(np.arange(len(force)) < self.m, np.maximum(force, 0.0), force)
             force = balanced_forces(self.problem, self.x, force, self.iteration)
         return Candidate(
-            self.x,
-            force[: self.m],
-            force[self.m :],
+            Answer(self.x, force[: self.m], None, force[self.m :]),
             iterations=sets,
             claimed=stopped == FOUND,
             status=stopped,

@@ -22,12 +22,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate, FreeMotion, Solution
+from contactqp.model.solution import Answer, Candidate, FreeMotion, Solution
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import (
@@ -88,12 +88,8 @@ def _enforce(
     matrix, load = springs(problem, closed, beta)
     displacement, tie_force = solve_bordered(name, matrix, load, rows, values, refined=refined)
     penetration = problem.normal @ displacement - problem.gap
-    return Step(
-        displacement,
-        normal_force=np.where(closed, beta * penetration, 0.0),
-        tie_force=spread(tie_force, ties, problem.ties),
-        bound=closed,
-    )
+    normal_force = np.where(closed, beta * penetration, 0.0)
+    return Step(Answer(displacement, normal_force, None, spread(tie_force, ties, problem.ties)), bound=closed)
 
 
 def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
@@ -226,18 +222,13 @@ def without_contact_springs(problem: ContactProblem, solution: Solution, name: s
     are the sliders'.
     """
     n = problem.dimension
-    u, normal, friction, tie = (
-        solution.displacement[:n],
-        solution.normal_force,
-        solution.friction_force,
-        solution.tie_force,
-    )
+    answer = replace(solution.answer, displacement=solution.answer.displacement[:n])
     return replace(
         solution,
         problem=problem,
-        displacement=u,
+        answer=answer,
         free_motions=tuple(FreeMotion(motion.direction[:n], str(motion)) for motion in solution.free_motions),
-        certificate=compute_certificate(problem, u, normal, friction, tie),
+        certificate=certificate_of(problem, answer),
         method=f"{name} by {solution.method}",
         raw=None,
     )

@@ -136,10 +136,11 @@ class _Loop:
         if warm is None:
             return np.full(self._problem.contacts, OPEN, dtype=np.int8)
         closing = self._closing()
-        if warm.contact_status is not None and warm.friction_force is not None:
-            slips = (warm.contact_status == "slip") & (warm.friction_force[:, 0] != 0)
-            closing = np.where(slips, np.sign(warm.friction_force[:, 0]), closing)
-        return np.where(warm.normal_force > 0, closing, OPEN).astype(np.int8)
+        friction = warm.answer.friction_force
+        if warm.contact_status is not None and friction is not None:
+            slips = (warm.contact_status == "slip") & (friction[:, 0] != 0)
+            closing = np.where(slips, np.sign(friction[:, 0]), closing)
+        return np.where(warm.answer.normal_force > 0, closing, OPEN).astype(np.int8)
 
     def _closing(self) -> Status:
         """Return the statuses of contacts that close: they stick, or slip without friction."""
@@ -196,8 +197,8 @@ class _Loop:
         problem, status, friction = self._problem, step.status, self._friction
         if problem.contacts == 0:
             return status
-        u, normal, tangential = step.displacement, step.normal_force, step.friction_force
-        pushes = ((problem.normal, normal), (self._tangent, tangential), (problem.tie, step.tie_force))
+        u, normal, tangential = step.answer.displacement, step.answer.normal_force, step.friction
+        pushes = ((problem.normal, normal), (self._tangent, tangential), (problem.tie, step.answer.tie_force))
         holds = (
             (problem.normal, problem.gap, status != OPEN),
             (self._tangent, self._origin, status == STICK),
@@ -230,8 +231,7 @@ class _Loop:
 
     def _candidate(self, step: FrictionalStep, reason: str) -> Candidate:
         found = last_candidate(self._name, step, reason, self.history, self._together)
-        friction = step.friction_force[:, None]
-        return replace(found, friction_force=friction, contact_status=status_names(step.status))
+        return replace(found, contact_status=status_names(step.status))
 
     def _named(self, contacts: Mask) -> str:
         indices = np.flatnonzero(contacts)
@@ -242,7 +242,7 @@ class _Loop:
 def _one_by_one(step: FrictionalStep, following: Status) -> Iterator[tuple[Status, Mask]]:
     """Yield statuses in which one wrong contact changes, and which: first as its signs ask, then in other ways."""
     wrong = np.flatnonzero(following != step.status)
-    pushed = np.where(step.friction_force < 0, SLIP_BACK, SLIP_ON)
+    pushed = np.where(step.friction < 0, SLIP_BACK, SLIP_ON)
     ways = [following, pushed, -pushed, np.full_like(following, STICK), np.full_like(following, OPEN)]
     for way in ways:
         for i in wrong:

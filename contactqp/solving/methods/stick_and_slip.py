@@ -20,19 +20,24 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem, Matrix
+from contactqp.model.solution import Answer
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.textbook_algebra import contact_stiffness, independent_rows, refuse_contradiction, spread
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionalStep:
-    """The answer of one system, for one status of every contact."""
+    """The answer of one system, for one status of every contact, without forces on open ones."""
 
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,), zero where open
-    friction_force: Vector  # (m,), likewise
-    tie_force: Vector  # (k,)
+    answer: Answer
     status: Status  # (m,) that took part; dependent rows may leave contacts out, which are open then
+
+    @property
+    def friction(self) -> Vector:
+        """Return the friction forces (m,), one a contact in the plane."""
+        assert self.answer.friction_force is not None
+        forces: Vector = self.answer.friction_force[:, 0]
+        return forces
 
 
 # The status of every contact, and an order of preference among those that are closed should rows be dependent.
@@ -86,9 +91,8 @@ class StatusRows:
         normal = spread(contact_force[:count], self.closed, m)
         friction = spread(contact_force[count:], self.stuck, m)
         friction = friction + np.where(self.status == STICK, 0, self.status) * coefficients(self.problem) * normal
-        return FrictionalStep(
-            displacement, normal, friction, spread(tie_force, self.ties, self.problem.ties), self.status
-        )
+        tie = spread(tie_force, self.ties, self.problem.ties)
+        return FrictionalStep(Answer(displacement, normal, friction[:, None], tie), self.status)
 
 
 def status_rows(

@@ -27,7 +27,7 @@ from contactqp.errors import NotConverged
 from contactqp.linalg.measures import row_sizes
 from contactqp.model.arrays import Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem, Matrix
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.stick_and_slip import FrictionalStep
 from contactqp.solving.methods.textbook_algebra import (
@@ -43,9 +43,7 @@ from contactqp.solving.methods.textbook_algebra import (
 class Step:
     """The equality problem's answer for one set of closed contacts."""
 
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,), zero on the open contacts
-    tie_force: Vector  # (k,)
+    answer: Answer  # without forces on the open contacts
     bound: Mask  # (m,) the closed contacts that took part; dependent rows may leave some out
 
     @classmethod
@@ -63,12 +61,8 @@ class Step:
         """
         bound = np.zeros(problem.contacts, dtype=bool)
         bound[contacts] = True
-        return cls(
-            displacement,
-            normal_force=spread(force[ties.size :], contacts, problem.contacts),
-            tie_force=spread(force[: ties.size], ties, problem.ties),
-            bound=bound,
-        )
+        normal = spread(force[ties.size :], contacts, problem.contacts)
+        return cls(Answer(displacement, normal, None, spread(force[: ties.size], ties, problem.ties)), bound)
 
 
 # A mask of the closed contacts, and an order of preference among them should their rows be dependent.
@@ -189,9 +183,7 @@ def last_candidate(
     """
     one_by_one = "" if together is None else f" (one contact at a time after {together} iterations)"
     return Candidate(
-        step.displacement,
-        step.normal_force,
-        step.tie_force,
+        step.answer,
         iterations=len(history),
         claimed=history[-1] == 0,
         status=f"{name}: {reason}{one_by_one}",
@@ -374,7 +366,7 @@ class _Loop:
 def _warm_set(problem: ContactProblem, settings: Settings) -> Mask:
     if settings.warm_start is None:
         return np.zeros(problem.contacts, dtype=bool)
-    return np.asarray(settings.warm_start.normal_force > 0)
+    return np.asarray(settings.warm_start.answer.normal_force > 0)
 
 
 def _changes(sets: Sets, sizes: Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
@@ -382,11 +374,12 @@ def _changes(sets: Sets, sizes: Sizes, step: Step, stiffness: float | Vector) ->
     problem, closed = sets.problem, step.bound
     if problem.contacts == 0:
         return closed, closed
-    pushes = ((problem.normal, step.normal_force), (problem.tie, step.tie_force))
+    answer = step.answer
+    pushes = ((problem.normal, answer.normal_force), (problem.tie, answer.tie_force))
     holds = ((problem.normal, problem.gap, closed), (problem.tie, problem.tie_value, np.ones(problem.ties, dtype=bool)))
-    noise = sizes.noise(step.displacement, sizes.forces(step.displacement, pushes), holds)
+    noise = sizes.noise(answer.displacement, sizes.forces(answer.displacement, pushes), holds)
     length = noise.of_lengths(problem.normal, problem.gap)
-    penetration = problem.normal @ step.displacement - problem.gap
+    penetration = problem.normal @ answer.displacement - problem.gap
     incoming = ~closed & (penetration > length)
-    outgoing = closed & (step.normal_force < -(noise.of_forces(problem.normal) + stiffness * length))
+    outgoing = closed & (answer.normal_force < -(noise.of_forces(problem.normal) + stiffness * length))
     return incoming, outgoing

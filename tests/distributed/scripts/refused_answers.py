@@ -14,6 +14,7 @@ from contactqp.distributed.distributing import distribute
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.solving import certified_solution, solve_distributed
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
+from contactqp.model.solution import Candidate
 from contactqp.scene.building import build
 
 CASES = Path(__file__).parents[3] / "cases"
@@ -42,8 +43,8 @@ assert not certified_solution(part, moved, "active-set").certificate.passed
 # A method that hands over the answer of the bodies without contact is refused, whatever it claims.
 right = solving.solve_by_iteration
 try:
-    solving.solve_by_iteration = lambda *arguments, **options: replace(
-        right(*arguments, **options), normal_force=np.zeros(part.contacts)
+    solving.solve_by_iteration = lambda *arguments, **options: Candidate(
+        replace(right(*arguments, **options).answer, normal_force=np.zeros(part.contacts))
     )
     with pytest.raises(NotCertified, match="the certificate refuses"):
         solve_distributed(part)

@@ -329,6 +329,6 @@ def test_an_answer_of_the_loop_that_is_wrong_is_refused() -> None:
     assert isinstance(right, Run)
     candidate = right.candidate
     assert candidate.friction_force is not None
-    right.candidate = replace(candidate, friction_force=-candidate.friction_force)
+    right.candidate = replace(candidate, answer=replace(candidate.answer, friction_force=-candidate.friction_force))
     with pytest.raises(cq.NotCertified, match="equilibrium"):
         right.finish()

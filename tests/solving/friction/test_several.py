@@ -58,7 +58,7 @@ def test_the_fixed_point_is_damped_where_it_cycles() -> None:
 def _with_force(solution: cq.Solution, force: float) -> cq.Solution:
     from dataclasses import replace
 
-    return replace(solution, normal_force=np.array([force]))
+    return replace(solution, answer=replace(solution.answer, normal_force=np.array([force])))
 
 
 def test_a_contact_that_is_there_twice_shares_its_force() -> None:

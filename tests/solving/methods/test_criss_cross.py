@@ -57,7 +57,7 @@ def test_a_dependent_contact_takes_the_place_of_the_one_in_its_way() -> None:
 def test_a_body_that_would_come_loose_runs_into_the_next_contact() -> None:
     step = sets(BETWEEN).change_one(mask(BETWEEN, 0), mask(BETWEEN, 0))
     assert step.bound.tolist() == [False, True]
-    assert step.normal_force == pytest.approx([0.0, 1.0])
+    assert step.answer.normal_force == pytest.approx([0.0, 1.0])
 
 
 def test_nothing_to_exchange_is_said_with_the_contact() -> None:

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, Unsupported
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.backends import BACKENDS, METHODS, Backend, backend_options, solve_quadratic_program
 from contactqp.solving.methods.method import Method, Settings
 from tests.solving.methods.static_examples import EXAMPLES, FREE, TWO_BARS, Example, require_answer, require_near
@@ -179,7 +179,7 @@ def test_a_time_limit_is_kept(name: str) -> None:
 
 @every_backend
 def test_a_warm_start_is_a_hint(method: Method) -> None:
-    start = Candidate(np.array([1e-3, 2e-4]), np.array([90.0]), np.zeros(0))
+    start = Candidate(Answer(np.array([1e-3, 2e-4]), np.array([90.0]), None, np.zeros(0)))
     candidate = method.solve(TWO_BARS, Settings(warm_start=start))
     require_answer(example("2.13"), candidate, RAW)
 

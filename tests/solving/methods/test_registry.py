@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import contactqp as cq
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods import Method, Settings, register
 
@@ -14,7 +14,7 @@ def doubled(problem: cq.ContactProblem, settings: Settings) -> Candidate:
     """Twice the right force."""
     del settings
     right = cq.solve(problem)
-    return Candidate(right.displacement, 2 * right.normal_force, right.tie_force)
+    return Candidate(Answer(right.displacement, 2 * right.normal_force, None, right.tie_force))
 
 
 def test_a_method_of_ones_own_is_listed_and_judged(monkeypatch: pytest.MonkeyPatch) -> None:

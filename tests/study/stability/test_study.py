@@ -20,7 +20,7 @@ from click.testing import CliRunner
 import contactqp as cq
 from contactqp.certificate.certificate import certificate_of
 from contactqp.cli import command
-from contactqp.model.solution import Candidate
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods import find
 from contactqp.solving.methods.method import Method, Settings
@@ -180,7 +180,7 @@ def test_an_equilibrium_that_does_not_exist_is_refused() -> None:
 @pytest.mark.slow
 def test_a_wrong_method_that_passes_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def lie(problem: cq.ContactProblem, _: Settings) -> Candidate:
-        return Candidate(np.zeros(problem.dimension), np.ones(problem.contacts), np.zeros(problem.ties))
+        return Candidate(Answer(np.zeros(problem.dimension), np.ones(problem.contacts), None, np.zeros(problem.ties)))
 
     monkeypatch.setitem(registry._REGISTRY, "liar", Method(name="liar", kind="test", solve=lie))
     assert stability_row("mesh-grading", 1.0, "liar").verdict == report_rows.REFUSED

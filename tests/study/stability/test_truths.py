@@ -177,13 +177,20 @@ def test_forces_whose_sum_is_right_are_stated(corner: tuple[SweptTruth, Solution
 
 def test_a_wrong_displacement_is_not_excused_by_redundant_forces(corner: tuple[SweptTruth, Solution]) -> None:
     truth, solution = corner
-    assert not certificate_statement(truth, dataclasses.replace(solution, displacement=2 * solution.displacement))
+    assert not certificate_statement(
+        truth,
+        dataclasses.replace(
+            solution, answer=dataclasses.replace(solution.answer, displacement=2 * solution.displacement)
+        ),
+    )
 
 
 def test_other_answers_that_are_possible_excuse_nothing() -> None:
     posed = find_axis("friction").pose(0.5)
     solution = cq.solve(posed.problem)
-    wrong = dataclasses.replace(solution, normal_force=2 * solution.normal_force)
+    wrong = dataclasses.replace(
+        solution, answer=dataclasses.replace(solution.answer, normal_force=2 * solution.normal_force)
+    )
     assert certificate_statement(posed.truth, saying(wrong, uniqueness=(SEVERAL,)))
     for said in (POSSIBLE, UNKNOWN, FORCES):
         assert not certificate_statement(posed.truth, saying(wrong, uniqueness=(said,)))
