@@ -17,13 +17,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.model.arrays import Array, Indices, Mask, Vector, seconds_left
+from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late, seconds_left
 from contactqp.model.problem import ContactProblem
 
 # W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
 DEPENDENT = 1e-11
 # Active rows from which on their inverse is kept, and the part of W by which it may miss before it is formed anew.
 MANY, WORN = 200, 1e-6
+# Steps between two looks at the clock.
+STEPS_UNTIMED = 8
 # The energy rises with each step; where it has fallen by this part, and by more than rounding of its terms, or has not
 # risen in as many steps as there are rows, W does not have the digits to go on.
 FALLEN, ROUNDED = 1e-3, 1e-12
@@ -48,7 +50,7 @@ class Infeasible(Exception):
 def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_steps: int) -> tuple[Vector, int, bool]:
     """Find forces l with l >= 0 off `free` and h - W l <= tolerance; return them, the steps, and whether it ended.
 
-    Raises Infeasible: no forces exist: the rows conflict.
+    Raises Infeasible: no forces exist: the rows conflict; NotConverged: the time is up.
 
     Parameters
     ----------
@@ -64,6 +66,8 @@ def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_step
         force[active.rows] = np.linalg.solve(W[np.ix_(active.rows, active.rows)], h[active.rows])
     highest, at = -np.inf, 0
     for step in range(max_steps):
+        if step % STEPS_UNTIMED == STEPS_UNTIMED - 1:
+            refuse_late("contacts open and close one by one")
         pushed = W @ force
         excess = np.where(free, 0.0, h - pushed - tolerance)
         excess[active.rows] = 0.0

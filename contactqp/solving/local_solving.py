@@ -24,7 +24,16 @@ from contactqp.errors import (
     Unsupported,
     shown,
 )
-from contactqp.model.arrays import THREADS_PAY, Vector, on_one_thread, own_floating_point
+from contactqp.model.arrays import (
+    THREADS_PAY,
+    Vector,
+    in_any_time,
+    on_one_thread,
+    own_floating_point,
+    stated_limit,
+    time_is_up,
+    within_time,
+)
 from contactqp.model.local_problem import LocalProblem, LocalSolution, local_status
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS, Outcome, run_algorithm, run_any
@@ -96,9 +105,17 @@ def solve_local(
     _refuse_options(method, algorithm, options)
     if algorithm == ENUMERATION:
         return _enumerated(problem, tolerance, only=True)
-    began = time.perf_counter()
-    form = LocalForm(problem)
     settings = Settings(tolerance, max_iter, time_limit, None, options)
+    with nullcontext() if time_limit is None else within_time(time_limit):
+        return _solved(problem, method, algorithm, settings, warm_start, polish)
+
+
+def _solved(
+    problem: LocalProblem, method: str, algorithm: str | None, settings: Settings, warm_start: Any, polish: bool
+) -> LocalSolution:
+    """Run an algorithm, or one after another, and certify the last iterate; arguments have been checked."""
+    began, tolerance = time.perf_counter(), settings.tolerance
+    form = LocalForm(problem)
     start = Iterate.nothing(form)
     if warm_start is not None:
         if not isinstance(warm_start, LocalSolution):
@@ -116,17 +133,17 @@ def solve_local(
     with on_one_thread() if WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY else nullcontext():
         if algorithm is None:
             refuse_unbalanced(form)
-            refuse_penetrated(form)
-            outcome = run_any(form, settings, start, accepted)
+            outcome = run_any(form, settings, start, accepted, lambda: refuse_penetrated(form))
         else:
             outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
-    solution = _solution(problem, form, outcome, tolerance, began)
+    with in_any_time():
+        solution = _solution(problem, form, outcome, tolerance, began)
     if outcome.accepted:
         return solution
-    in_time = time_limit is None or time.perf_counter() - began < time_limit
-    if algorithm is None and in_time and not_enumerated(form) is None:
+    if algorithm is None and not time_is_up() and not_enumerated(form) is None:
         return _enumerated(problem, tolerance, only=False)
-    reason = f"{outcome.name}: {'; '.join(solution.certificate.failures)}{_floor(outcome)}"
+    late = f"stopped at the time limit of {stated_limit(settings.time_limit)}; " if time_is_up() else ""
+    reason = f"{outcome.name}: {late}{'; '.join(solution.certificate.failures)}{_floor(outcome)}"
     if polish:
         count = outcome.iterate.iterations
         raise NotConverged(f"{reason} (after {count} iterations)", outcome.iterate.history, solution)

@@ -13,17 +13,19 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.certificate import certificate, energy_bounds
 from contactqp.certificate.state_answer import OUT_OF_TIME
-from contactqp.linalg import condensation, dense, multigrid, pardiso, schur
+from contactqp.linalg import condensation, dense, multigrid, nonnegative, pardiso, schur
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.model import arrays
 from contactqp.model.solution import Answer
+from contactqp.solving.friction.alart_curnier import newton
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.solving.friction.problems import rough_truss
 from tests.solving.friction.space import block
 
 CHAIN = sp.diags([-1.0, 3.0, -1.0], [-1, 0, 1], shape=(2 * dense.BLOCK, 2 * dense.BLOCK), format="csr")
-NONE = np.zeros(0, dtype=np.intp)
+NONE, MANY = np.zeros(0, dtype=np.intp), np.arange(dense.BLOCK + 1)
 PROBLEMS = {"frictionless": on_paraboloid((5, 5, 3)), "plane": rough_truss(), "space": block([1.0, 0.0])}
 
 
@@ -166,3 +168,35 @@ def test_friction_that_is_cut_short_is_not_compared_with_its_states(monkeypatch:
     assert found.normal_force.max() > 0
     assert not found.certificate.passed
     assert any(OUT_OF_TIME in failure for failure in found.certificate.failures)
+
+
+def spheres(contacts: int = 40) -> cq.LocalProblem:
+    """Contacts in space that an ill-conditioned Delassus operator couples: Newton's method takes some ten steps."""
+    random = np.random.default_rng(3)
+    H = random.standard_normal((3 * contacts, 2 * contacts))
+    return cq.LocalProblem(delassus=H @ H.T, offset=random.standard_normal(3 * contacts), friction=0.5, dimension=3)
+
+
+@pytest.mark.parametrize("algorithm", [None, "newton", "nsgs", "ppa", "admm", "aclm"])
+def test_a_local_problem_out_of_time_says_so_and_has_its_best_answer_judged(algorithm: str | None) -> None:
+    problem = spheres()
+    with pytest.raises(cq.NotConverged, match="stopped at the time limit of 1e-09 s") as caught:
+        cq.solve(problem, time_limit=1e-9, algorithm=algorithm)
+    found = caught.value.solution
+    assert not found.certificate.passed
+    assert found.certificate.natural_map > 1e-6
+
+
+def test_newton_in_no_time_returns_where_it_starts() -> None:
+    form = LocalForm(spheres())
+    start = Iterate.nothing(form)
+    assert newton(form, start).error < start.error
+    with arrays.within_time(1e-9):
+        assert newton(form, start).error == start.error
+
+
+def test_contacts_that_close_one_by_one_do_so_in_time() -> None:
+    W, h, none = np.eye(60), np.ones(60), np.zeros(60, dtype=bool)
+    assert nonnegative.dual_active_set(W, h, none, 0 * h, 100)[2]
+    with arrays.within_time(1e-9), pytest.raises(cq.NotConverged, match="before contacts open and close one by one"):
+        nonnegative.dual_active_set(W, h, none, 0 * h, 100)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, NoEquilibrium, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
-from contactqp.model.arrays import stated_limit, tell
+from contactqp.model.arrays import stated_limit, tell, time_is_up
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.admm import admm
 from contactqp.solving.friction.alart_curnier import newton, proximal_points
@@ -139,7 +139,8 @@ def run_algorithm(
 ) -> Outcome:
     """Iterate until an iterate, refined by Newton's method where that helps, is accepted; else return the best one.
 
-    Raises NotConverged, BackendFailed, BackendMissing, Unsupported: of the convex method, or an overflow.
+    Raises NotConverged, BackendFailed, BackendMissing, Unsupported: of the convex method, or an overflow; where the
+    time is up, the best one is returned instead.
 
     Parameters
     ----------
@@ -178,6 +179,9 @@ def run_algorithm(
         raise NotConverged(
             f"{name}: the convex problem of a step has no answer that floats find", tuple(history)
         ) from error
+    except NotConverged:
+        if not time_is_up():
+            raise
     except BackendFailed as error:
         if not history:
             raise
@@ -228,7 +232,7 @@ def run_any(
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None
     for number, (name, limit) in enumerate(ATTEMPTS[:attempts]):
-        if deadline.passed:
+        if number and deadline.passed:
             break
         if number == SHORT_ATTEMPTS:
             refuse_none()
