@@ -33,7 +33,7 @@ from contactqp.certificate.certificate import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, plane_states
 from contactqp.model.names import NAMES_IN_A_MESSAGE
 from contactqp.model.problem import ContactProblem
@@ -132,6 +132,7 @@ class ExactPath:
         hit = np.zeros((4, len(zero)), dtype=bool)
         limit = 40 * len(zero) + 40
         for _ in range(limit):
+            refuse_late("the next event was found")
             standing = self._standing(hit)
             at = f"at t = {time + lasts * fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)

@@ -38,7 +38,7 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.iteration import contacts_are_many, iterated
-from contactqp.model.arrays import Mask, Vector, one_blas_thread
+from contactqp.model.arrays import Mask, Vector, one_blas_thread, refuse_late
 from contactqp.model.coulomb import STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
@@ -88,6 +88,7 @@ def follow_with_friction(
         for leg, (start, end) in enumerate(pairwise(corners)):
             steps.turn(start, end)
             for i in range(count):
+                refuse_late(f"the step to t = {leg + (i + 1) / count:.6g}")
                 steps.go_to((i + 1) / count)
                 times.append(leg + (i + 1) / count)
     except ContactQPError as error:

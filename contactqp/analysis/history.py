@@ -25,7 +25,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.measures import of_rows
 from contactqp.linalg.refinement import OnSet, answer_on
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point
+from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_point, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
@@ -414,6 +414,7 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
     felt = of_rows(problem, problem.normal, np.ones(problem.dimension))
     limit = 20 * problem.contacts + 20
     for _ in range(limit):
+        refuse_late("the next event was found")
         chosen, rates = _rates(direction, condensation, state)
         events += _decided(state, chosen)
         here = answer_on(problem.replace(load=start + state.fraction * (end - start)), condensation, chosen)

@@ -25,7 +25,7 @@ from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Vector, one_blas_thread, own_floating_point
+from contactqp.model.arrays import Vector, one_blas_thread, own_floating_point, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution
@@ -183,6 +183,7 @@ def _follow_leg(
         found += [Event(e.kind, e.contact, leg + e.time, problem.contact_name(e.contact)) for e in exact]
         fractions |= {e.time for e in exact if e.time > 0}
     for fraction in sorted(fractions):
+        refuse_late(f"the step to t = {leg + fraction:.6g}")
         solutions.go_to(fraction)
         times.append(leg + fraction)
 

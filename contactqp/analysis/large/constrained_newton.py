@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.analysis.large.deformation import Forces, Imbalance, Instant, LoadedBody, NewtonIteration
 from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Vector, refuse_late
 
 # Armijo's part of the slope, and the shortest fraction of a step that is tried.
 SUFFICIENT = 1e-4
@@ -80,6 +80,7 @@ def find_balance(
     iterations: list[NewtonIteration] = []
     step, weight, reason, reach = None, 0.0, "", float(np.max(abs(start), initial=0.0))
     for _ in range(settings.max_iter):
+        refuse_late("the next step of Newton's method")
         K = loaded.hessian(now, forces)
         start_error = _imbalance_before(loaded, now, K, forces, target, settings)
         if not iterations and start_error.nothing and _sticks(loaded, now, forces, target, settings):

@@ -14,7 +14,7 @@ from contactqp.analysis.large.constrained_newton import Balance
 from contactqp.analysis.large.deformation import Forces, Instant, LoadedBody, NewtonIteration
 from contactqp.analysis.large.newton_step import NewtonSettings, Target, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import Mask, Vector, refuse_late
 
 # Newton's method on a fixed set either converges in a few steps or not at all.
 ITERATIONS = 20
@@ -159,6 +159,7 @@ class PathEquations:
         started, iterations, B = time.perf_counter(), [], np.flatnonzero(closed)
         now = self._at(u)
         for _ in range(ITERATIONS):
+            refuse_late("the next step of Newton's method")
             K = self.loaded.hessian(now, forces)
             c_u, c_t = control.row(now, t)
             open_tie = self.tie_start + t * self.tie_rate - self.loaded.tie @ now.displacement

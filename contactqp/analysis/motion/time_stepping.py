@@ -32,7 +32,7 @@ from contactqp.errors import (
     warn,
 )
 from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, directions, lengths, ratio, reciprocal, row_sizes
-from contactqp.model.arrays import CERTIFY, METHOD, Array, Indices, Mask, Vector, stage
+from contactqp.model.arrays import CERTIFY, METHOD, Array, Indices, Mask, Vector, in_any_time, refuse_late, stage
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work
@@ -328,6 +328,7 @@ class MotionRun:
         for contact, pending in zip(self._contacts, self._pending, strict=True):
             posed = self._scheme.pose(state, load, next_load, answers)
             try:
+                refuse_late("it was taken")
                 with stage(METHOD):
                     found = contact.alone(posed) if self._alone else contact.solve(posed)
             except (NotConverged, NotCertified, BackendFailed, NoEquilibrium, SeveralEquilibria) as error:
@@ -354,7 +355,7 @@ class MotionRun:
         for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
             if not pending:
                 continue
-            with stage(CERTIFY):
+            with stage(CERTIFY), in_any_time():
                 refused = judge.refused([p for p, _ in pending], [a for _, a in pending], TOLERANCE)
             pending.clear()
             refusals += [] if refused is None else [(*refused, template)]

@@ -1,0 +1,76 @@
+"""Paths, motions and large deformations look at the clock before each step, and return the steps that were in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis import friction_events, friction_path, history, load_path
+from contactqp.analysis.large import constrained_newton, path_equations
+from contactqp.analysis.motion import time_stepping
+from tests.solving.friction.problems import rough_truss
+
+BARS = cq.ContactProblem(
+    stiffness=[[157500.0, 0.0], [0.0, 315000.0]], load=[300.0, 0.0], normal=[[1.0, -1.0]], gap=[1e-3]
+)
+ROUGH = rough_truss()
+
+
+def moved() -> object:
+    return cq.impact(BARS, np.eye(2), np.zeros(2), np.array([1.0, 0.0]), 0.001, 0.0001)
+
+
+MODULES = {
+    "path": (load_path, lambda: cq.follow_path(BARS, loads=[BARS.load], steps=10), "the step to t = 0.3"),
+    "friction": (friction_path, lambda: cq.follow_path(ROUGH, loads=[ROUGH.load], steps=10), "the step to t = 0.3"),
+    "motion": (time_stepping, moved, "it was taken"),
+}
+
+
+def late_at(call: int) -> Callable[[str], None]:
+    """Return what refuses to go on when it is asked for the `call`-th time."""
+    asked: list[str] = []
+
+    def refuse(what: str) -> None:
+        asked.append(what)
+        if len(asked) >= call:
+            raise cq.NotConverged(f"stopped at the time limit, before {what}")
+
+    return refuse
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_steps_that_were_in_time_are_returned(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, run, what = MODULES[name]
+    whole = run()
+    monkeypatch.setattr(module, "refuse_late", late_at(3))
+    with pytest.raises(cq.NotConverged, match=f"before {what}") as caught:
+        run()
+    steps = caught.value.history
+    assert len(steps) == 3  # the start and two steps
+    for one, other in zip(steps, whole, strict=False):
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+
+
+@pytest.mark.parametrize(
+    ("module", "problem"), [(history, BARS), (friction_events, ROUGH)], ids=["frictionless", "friction"]
+)
+def test_events_are_found_one_by_one_in_time(
+    module: object, problem: cq.ContactProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cq.follow_path(problem, loads=[problem.load], events="exact").events
+    monkeypatch.setattr(module, "refuse_late", late_at(1))
+    with pytest.raises(cq.NotConverged, match="before the next event was found") as caught:
+        cq.follow_path(problem, loads=[problem.load], events="exact")
+    assert len(caught.value.history) == 1
+
+
+def test_newton_steps_of_large_deformations_are_taken_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = cq.load_scene("cases/von_mises_truss.toml")
+    for module in (constrained_newton, path_equations):
+        monkeypatch.setattr(module, "refuse_late", late_at(2))
+    with pytest.raises(cq.NotConverged, match="before the next step of Newton's method"):
+        cq.run(scene)
