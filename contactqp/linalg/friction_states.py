@@ -37,7 +37,7 @@ from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
 from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
-from contactqp.linalg.measures import lengths
+from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Mask, Vector, refuse_late, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
@@ -420,7 +420,7 @@ def answer_in(
         near = refined.answer(rows.width)
         slender = refined_in(problem, condensation, rows, status, near, independent=True)
         refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
-    return without_noise(problem.load, condensation.unknown_scale, rows, refined.answer(rows.width), start)
+    return without_noise(problem, condensation.unknown_scale, rows, refined.answer(rows.width), start)
 
 
 def _settled(refined: RefinedState) -> bool:
@@ -448,7 +448,7 @@ def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Vecto
     return directions_of(vectors), turning
 
 
-def without_noise(load: Vector, scale: Vector, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
+def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
     """Set to zero what is beneath the rounding of refinement: of the start, of the answer and of the load.
 
     All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
@@ -456,17 +456,22 @@ def without_noise(load: Vector, scale: Vector, rows: ScaledRows, answer: Answer,
 
     Parameters
     ----------
-    load, scale : (n,) arrays, the load [force] and the scale of the unknowns
+    problem : ContactProblem
+    scale : (n,) array, the scale of the unknowns
     rows : ScaledRows
     answer, start : what refinement came to, and where it began
     """
-    far = float(abs(load * scale).max(initial=0.0))
+    far = float(abs(problem.load * scale).max(initial=0.0))
     for one in (answer, start):
         for size in (one.displacement / scale, rows.normal_length * one.normal_force, rows.tie_length * one.tie_force):
             far = max(far, float(abs(size).max(initial=0.0)))
     values = (answer.displacement, answer.normal_force, _friction_of(answer, rows.width), answer.tie_force)
     units = (1.0 / scale, rows.normal_length, rows.tangent_length[:, None], rows.tie_length)
-    return Answer(*zero_beneath(values, units, INVISIBLE * far))
+    u, *forces = zero_beneath(values, units, INVISIBLE * far)
+    if np.any(u != answer.displacement):
+        kept = abs(answer.displacement) * units[0] > INVISIBLE * longest_stated(problem)
+        u = np.where(kept, answer.displacement, u)
+    return Answer(u, *forces)
 
 
 def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:

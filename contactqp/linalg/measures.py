@@ -89,7 +89,7 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
 def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
     """Return the sizes of rows (r, n) over unknowns whose diagonal entries K_jj are given."""
     compliance = reciprocal(diagonal)
-    size, row = abs(rows.data), _row_of_entries(rows)
+    size, row = abs(rows.data), np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
     touching = (rows.indptr[1:] > rows.indptr[:-1]).nonzero()[0]
     return RowSizes(rows, row, size, found.astype(float), touching, rows.indices[rows.indptr[touching]])
@@ -103,6 +103,8 @@ WITHIN_REACH = 10.0
 BESIDE_OTHERS = 1e-9
 # Lengths are nothing up to a tolerance (1e-9) of the longest one at most, where the intrinsic size allows a thousandth.
 OF_ALL_LENGTHS = 1e3
+# A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
+ROUNDING_OF_LENGTH = 1e-14
 # Up to 1e-6, as CLOSED, where that is rounding of what moves around them.
 OF_NEAR_LENGTHS = 1e6
 # What rounding a displacement to doubles makes of forces and lengths, relative to |K||u| and |E||u|: half a rounding of
@@ -199,19 +201,35 @@ def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector
     stay as they are in parts where no length is stated, and are not cut below the strain of displacements `least` (n,),
     but to 1e6 times the longest at most.
     """
-    part = parts(problem)
-    longest = np.zeros(int(part.max(initial=-1)) + 1)
-    every = [one for one in rows_and_limits(problem) if one[1].size and (along or one[0] is not problem.tangent)]
-    here = [(row_sizes(problem, rows), limit) for rows, limit in every]
-    for of_row, limit in here:
-        _raise_to(longest, part, of_row, np.where(np.isfinite(limit), abs(limit), 0.0))
+    part, (longest, here) = parts(problem), _longest_stated(problem, along)
     cut = (longest > 0)[part] & (size > OF_ALL_LENGTHS * longest[part])
     if not cut.any():
         return size
-    for of_row, _ in here:
+    for of_row in here:
         _raise_to(longest, part, of_row, of_row.lengths(abs(displacement)))
     rest = np.clip(_strain(problem, part, least), OF_ALL_LENGTHS * longest, OF_NEAR_LENGTHS * longest)
     return np.where(cut, np.minimum(size, rest[part]), size)
+
+
+def longest_stated(problem: ContactProblem) -> Vector:
+    """Return the longest of |g|, |b| and |slip_origin| of the part of each unknown, over |E_i D|, (n,) in sqrt(energy).
+
+    It is infinite where none is stated. What contacts, ties and friction alone hold moves as far, whatever the forces
+    are: it is no rounding where it is no rounding of this.
+    """
+    longest = _longest_stated(problem, along=True)[0][parts(problem)]
+    return np.where(longest > 0, longest, np.inf)
+
+
+def _longest_stated(problem: ContactProblem, along: bool) -> tuple[Vector, list[RowSizes]]:
+    """Return the longest of |g|, |b| and, if asked for, |slip_origin| over |E_i D| of each part, and those rows."""
+    part, here = parts(problem), list[RowSizes]()
+    longest = np.zeros(int(part.max(initial=-1)) + 1)
+    for rows, limit in rows_and_limits(problem):
+        if limit.size and (along or rows is not problem.tangent):
+            here.append(row_sizes(problem, rows))
+            _raise_to(longest, part, here[-1], np.where(np.isfinite(limit), abs(limit), 0.0))
+    return longest, here
 
 
 def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) -> None:
@@ -349,12 +367,10 @@ def scale_through_rows(problem: ContactProblem) -> Vector:
 
 
 def _given_by(rows: Any, D: Vector) -> Vector:
-    row = _row_of_entries(rows)
-    size = abs(rows.data)
-    largest = np.zeros(rows.shape[0])
+    row = np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])
+    size, largest = abs(rows.data), np.zeros(rows.shape[0])
     np.maximum.at(largest, row, size * D[rows.indices])
-    given = np.zeros_like(D)
-    acting = size > 0
+    given, acting = np.zeros_like(D), size > 0
     np.maximum.at(given, rows.indices[acting], largest[row[acting]] / size[acting])
     return given
 
@@ -368,10 +384,6 @@ def untouched(problem: ContactProblem) -> Any:
                 touched[rows.indices[rows.data != 0]] = True
         problem._computed.untouched = ~touched
     return problem._computed.untouched
-
-
-# A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
-ROUNDING_OF_LENGTH = 1e-14
 
 
 def lay_out(problem: ContactProblem) -> None:
@@ -410,10 +422,8 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
 
     Parameters
     ----------
-    problem : ContactProblem
-    rows : (r, n) CSR matrix, E, rows of the problem
-    limit : (r,) array, g of these rows [length]
-    displacement : (n,) array, u, which may be without its rigid part
+    problem, rows : ContactProblem and (r, n) CSR matrix E, rows of it
+    limit, displacement : (r,) array g of these rows, and (n,) array u, which may be without its rigid part [length]
     """
     sizes = row_sizes(problem, rows)
     length = sizes.lengths(abs(displacement)) + abs(limit)
@@ -421,7 +431,7 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     size = np.sqrt(problem.diagonal) * abs(displacement)
     if (length <= least * size.max(initial=0.0)).any():
         touched = np.zeros(rows.shape[0])
-        np.maximum.at(touched, _row_of_entries(rows), largest_of_bodies(problem, size)[rows.indices])
+        np.maximum.at(touched, sizes.row, largest_of_bodies(problem, size)[rows.indices])
         length = np.where(length <= least * touched, np.inf, length)
     return np.asarray(length)
 
@@ -474,23 +484,14 @@ def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None
 
     Parameters
     ----------
-    rows : (r, n) CSR matrix
-    force : (r,) array, the multipliers l [force]
-    meeting : (n,) array, F, the forces that meet at each unknown [force]
-    none : (n,) array, optional
-        Forces up to which there is none at an unknown.
-    sizes : RowSizes, optional
-        Those of the rows, if they are known.
+    rows, force : (r, n) CSR matrix and (r,) array, the multipliers l [force]
+    meeting, none : (n,) arrays, F, the forces that meet at each unknown [force], and those up to which there is none
+    sizes : RowSizes, optional, those of the rows, if they are known
     """
-    size, row = (abs(rows.data), _row_of_entries(rows)) if sizes is None else (sizes.entries, sizes.row)
-    acting = size * abs(force)[row]
+    sizes = sizes_of(rows, np.zeros(rows.shape[1])) if sizes is None else sizes
+    acting = sizes.entries * abs(force)[sizes.row]
     if none is not None:
         acting = beyond(acting, none[rows.indices])
     measure = np.zeros(rows.shape[0])
-    np.maximum.at(measure, row, ratio(acting, meeting[rows.indices]))
+    np.maximum.at(measure, sizes.row, ratio(acting, meeting[rows.indices]))
     return measure
-
-
-def _row_of_entries(rows: Any) -> Indices:
-    """Return the row of every entry of CSR rows."""
-    return np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])

@@ -20,6 +20,7 @@ from contactqp.linalg.measures import (
     force_measure,
     forces_that_meet,
     lengths_that_meet,
+    longest_stated,
     own_compliance,
     row_sizes,
 )
@@ -438,8 +439,10 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     force, size = np.concatenate([push, tie]), np.sqrt(condensation.delassus.compliance)
     loads = abs(problem.load) / root
     largest = max([part.max(initial=0.0) for part in (root * abs(u), size * abs(force), loads)])
-    u, force = zero_beneath((u, force), (root, size), INVISIBLE * largest)
-    return Answer(u, force[: len(push)], None, force[len(push) :])
+    zeroed, force = zero_beneath((u, force), (root, size), INVISIBLE * largest)
+    if np.any(zeroed != u):
+        zeroed = np.where(root * abs(u) > INVISIBLE * longest_stated(problem), u, zeroed)
+    return Answer(zeroed, force[: len(push)], None, force[len(push) :])
 
 
 def least_displacement(

@@ -43,7 +43,7 @@ from contactqp.solving.friction.exact_enumeration import (
     NONE_AT_ALL,
     NONE_IN_FLOATS,
     SEVERAL,
-    exact_equilibria,
+    rounded_equilibria,
 )
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import refined, solve_sparse_newton
@@ -385,8 +385,7 @@ def _by(
     meter: Meter,
 ) -> FrictionRun:
     """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
-    if settings.time_limit is not None:
-        settings = settings.now
+    settings = settings if settings.time_limit is None else settings.now
     try:
         if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
             found: Any = algorithm.on_bodies(problem, condensation, method, settings)
@@ -413,11 +412,8 @@ def run_on_combination(
 
     Parameters
     ----------
-    problem : ContactProblem
-    system, lengths : ForceSystem, Lengths, the linear systems of combinations, and the lengths of this load
-    found : forces and states on the contact unknowns
-    combinations : the number of combinations that were tried, which becomes the count of iterations
-    meter : the counter of what the answer costs
+    problem, system, lengths, found : the problem, the systems of combinations, lengths and forces of this load
+    combinations, meter : how many combinations were tried, and the counter of what the answer costs
     """
     with meter.running():
         answer = refined(problem, condense(problem), system, lengths, found)
@@ -425,10 +421,15 @@ def run_on_combination(
 
 
 def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
-    """Find every equilibrium of a small problem by enumeration.
+    """Find every equilibrium of a small problem, in rationals where floats find none.
 
-    Raises Unsupported as `run_friction` does.
+    Raises Unsupported as `run_friction` does, NotConverged as `_in_rationals` does.
     """
+    few = problem.contacts <= MOST_PROVEN and problem.dimension <= MOST_UNKNOWNS
+    return _in_floats(problem) or (_in_rationals(problem) if few else ())
+
+
+def _in_floats(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     if iterated(problem):
         raise Unsupported(f"enumeration: a body this large is not factorised; {_FACTORISE}")
     if _in_space(problem):
@@ -439,13 +440,25 @@ def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     return tuple(FrictionRun(problem, one.answer, "enumeration", meter) for one in found)
 
 
+def _in_rationals(problem: ContactProblem) -> tuple[FrictionRun, ...]:
+    """Return the equilibria in rational numbers, rounded; NotConverged where none satisfies the law any more."""
+    exact = rounded_equilibria(problem)
+    found = tuple(FrictionRun(problem, one, "enumeration") for one in exact if holds(problem, one))
+    if exact and not found:
+        raise NotConverged(f"{NONE_IN_FLOATS}, and in rational numbers there is one: see contactqp.exact_equilibria")
+    return found
+
+
 def _listed(problem: ContactProblem, condensation: Condensation) -> tuple[FrictionRun, ...]:
     """Return every equilibrium of a small problem; raise where there is none."""
-    found = found_by_enumeration(problem)
+    found = _in_floats(problem)
     if not found:
         refuse_conflict(problem, condensation)
-        _refuse_unproven(problem)
-        raise NoEquilibrium(NONE_AT_ALL)
+        if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
+            within = f"up to {MOST_PROVEN} contacts and {MOST_UNKNOWNS} unknowns"
+            raise NotConverged(f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers {within}")
+        if not (found := _in_rationals(problem)):
+            raise NoEquilibrium(NONE_AT_ALL)
     return found
 
 
@@ -457,22 +470,9 @@ def _only(problem: ContactProblem, condensation: Condensation) -> FrictionRun:
     return found[0]
 
 
-def _refuse_unproven(problem: ContactProblem) -> None:
-    """Raise NotConverged unless no combination is an equilibrium in rational numbers either."""
-    if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
-        raise NotConverged(
-            f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers up to {MOST_PROVEN} contacts and "
-            f"{MOST_UNKNOWNS} unknowns"
-        )
-    if exact_equilibria(problem):
-        raise NotConverged(
-            f"{NONE_IN_FLOATS}, and in rational numbers there is one: contactqp.exact_equilibria lists them"
-        )
-
-
 def _described(problem: ContactProblem, run: FrictionRun) -> str:
-    forces = run.candidate.answer.normal_force
-    return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in enumerate(forces.tolist()))
+    forces = enumerate(run.candidate.answer.normal_force.tolist())
+    return ", ".join(f"{problem.contact_name(i)}: l_N = {force:.6g}" for i, force in forces)
 
 
 def _refuse_method(method: Method) -> None:

@@ -28,7 +28,7 @@ from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
-from contactqp.linalg.measures import lay_out, row_sizes
+from contactqp.linalg.measures import lay_out, longest_stated, row_sizes
 from contactqp.linalg.refinement import (
     INVISIBLE,
     closed_contacts,
@@ -425,7 +425,8 @@ def _without_noise(problem: ContactProblem, found: Answer) -> tuple[Vector, Vect
     sizes = (abs(value) * unit for value, unit in zip(values, units, strict=True))
     largest = max(size.max(initial=0.0) for size in (*sizes, abs(problem.load) * D))
     u, normal, friction, tie = zero_beneath(values, units, INVISIBLE * largest)
-    return u, normal, friction, tie
+    kept = abs(found.displacement) / D > INVISIBLE * longest_stated(problem)
+    return np.where(kept, found.displacement, u), normal, friction, tie
 
 
 _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"

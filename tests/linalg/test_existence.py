@@ -203,8 +203,10 @@ def test_with_friction_a_driven_motion_proves_absence() -> None:
 
 
 def test_what_floats_did_not_find_is_not_denied(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Floats overlook the equilibrium: where rationals find it, or cannot look, nothing is denied."""
+    """Floats overlook the equilibrium: rationals find it, and where they cannot look nothing is denied."""
     monkeypatch.setattr("contactqp.solving.friction_runs.all_equilibria", lambda *_: ())
+    assert cq.solve(_pad(5.0), algorithm="enumeration").certificate.passed
+    monkeypatch.setattr("contactqp.solving.friction_runs.holds", lambda *_: False)
     with pytest.raises(cq.NotConverged, match="in rational numbers there is one"):
         cq.solve(_pad(5.0), algorithm="enumeration")
     with pytest.raises(cq.NotConverged, match="up to 4 contacts"):

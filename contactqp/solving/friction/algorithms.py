@@ -203,6 +203,8 @@ ATTEMPTS = (
 )
 # So many of them end at once, and so many are long.
 SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
+# An iterate whose law is violated by less, of the typical gap or slip, satisfies it.
+SOLVED = 1e-10
 # These forget where they start from, or are led astray by it.
 FROM_THE_START = ("nsgs", "admm", "aclm", "tresca")
 
@@ -214,11 +216,12 @@ def run_any(
     accepted: Accepted,
     refuse_none: Callable[[], None] = lambda: None,
     attempts: int = len(ATTEMPTS),
+    few: int = 0,
 ) -> Outcome:
     """Run Newton's method from a start, then from iterates of other algorithms, until an answer is accepted.
 
-    `refuse_none` raises where there is no answer; it is asked behind the short attempts. `attempts` are so many of
-    `ATTEMPTS`.
+    An iterate that satisfies the law to rounding and is not accepted ends the attempts where contacts are few: the
+    others would come to the same, and combinations near it are tried elsewhere.
 
     Parameters
     ----------
@@ -228,6 +231,7 @@ def run_any(
     accepted : function, says whether an iterate is the answer
     refuse_none : function, raises where there is no answer; it is asked behind the short attempts
     attempts : how many of `ATTEMPTS` are made
+    few : how many contacts are few
     """
     deadline = Deadline(settings.time_limit)
     best: Outcome | None = None
@@ -252,6 +256,8 @@ def run_any(
             return found
         if best is None or found.iterate.error < best.iterate.error:
             best = found
+        if best.iterate.error <= SOLVED and form.m <= few:
+            break
     if best is None and deadline.passed:
         raise NotConverged(f"friction: stopped at the time limit of {stated_limit(settings.time_limit)}")
     if best is None:

@@ -314,7 +314,8 @@ def _on_form(
     start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
     if algorithm is None:
         attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= MOST_TRIED else 0)
-        outcome = run_any(form, settings, start, accepted, lambda: refuse_conflict(problem, condensation), attempts)
+        conflict = lambda: refuse_conflict(problem, condensation)  # noqa: E731
+        outcome = run_any(form, settings, start, accepted, conflict, attempts, MOST_TRIED)
     else:
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""

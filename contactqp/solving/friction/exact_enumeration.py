@@ -30,6 +30,7 @@ from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
+from contactqp.model.solution import Answer
 from contactqp.solving.friction.enumeration import refuse_many
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
@@ -104,8 +105,7 @@ def _fraction(name: str, value: Any) -> Fraction:
         raise InvalidProblem(f"{name}: expected rational numbers, got {shown(value)}") from None
 
 
-# 4^6 systems of some ten rows take tens of seconds in rational numbers.
-MOST_CONTACTS = 6
+MOST_CONTACTS = 6  # 4^6 systems of some ten rows take tens of seconds in rational numbers
 MOST_UNKNOWNS = 60
 # Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
 MOST_PROVEN = 4
@@ -195,6 +195,26 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
                 f"exact_equilibria: {count} {what}; at most {most} are few enough for rational numbers{beside}"
             )
     return _listed(_Bodies(ExactData(problem, exact)))
+
+
+def rounded_equilibria(problem: ContactProblem) -> list[Answer]:
+    """Return all equilibria in rational numbers, rounded to doubles; contacts that never close are left out."""
+    kept = np.flatnonzero(problem.gap < np.inf)
+    rows = {name: getattr(problem, name)[kept] for name in ("normal", "gap", "tangent", "friction", "slip_origin")}
+    answers = []
+    for one in _listed(_Bodies(ExactData(problem.replace(**rows, contact_names=None), {}))):
+        push, drag = np.zeros(problem.contacts), np.zeros((problem.contacts, 1))
+        push[kept], drag[kept] = _doubles(one.normal_force), _doubles(one.friction_force)
+        answers.append(Answer(_doubles(one.displacement), push, drag, _doubles(one.tie_force)))
+    return answers
+
+
+def _doubles(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the nearest doubles of Fractions, all infinite where one is beyond doubles."""
+    try:
+        return values.astype(float)
+    except OverflowError:
+        return np.full(values.shape, np.inf)
 
 
 def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
@@ -434,7 +454,13 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
         for i, state in enumerate(states):
             push, drag, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
             zero += [push if state == OPEN else opens]
-            zero += [slips if state == STICK else drag if state == OPEN else _sum(drag, push, state * mu[i])]
+            zero += [
+                slips
+                if state == STICK
+                else drag
+                if state == OPEN
+                else [x + state * mu[i] * y for x, y in zip(drag, push, strict=True)]
+            ]
             signs += _signs_of_law(state, mu[i], (push, drag), opens, slips)
         found = solutions([_equation(row) for row in zero], 2 * m + p)
         if found is None:
@@ -443,10 +469,6 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
         if not Region(images, len(found.free)).empty:
             return True
     return False
-
-
-def _sum(one: Row, other: Row, factor: Fraction) -> Row:
-    return [x + factor * y for x, y in zip(one, other, strict=True)]
 
 
 def _fractions(matrix: Any) -> list[Row]:

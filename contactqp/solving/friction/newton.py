@@ -281,7 +281,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
         if np.array_equal(following, status):
             last = refined_sparse(problem, status, here, MAX_SWEEPS).answer(1)
             spent += rows.system(problem, status).back_substitutions - solved
-            clean = without_noise(problem.load, unknown_scale(problem), rows, last, here)
+            clean = without_noise(problem, unknown_scale(problem), rows, last, here)
             return SparseNewtonAnswer(clean, step, rows.factorisations - before, spent)
         if following.tobytes() in seen:  # the signs of a few contacts chase each other: one at a time
             one = _next_unseen(status, following, seen)

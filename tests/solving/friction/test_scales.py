@@ -229,3 +229,40 @@ def test_an_unknown_without_stiffness_that_only_tangents_join_to_a_stiff_one_is_
     assert solution.certificate.passed
     assert solution.displacement[0] == pytest.approx(length, rel=1e-14)
     assert list(solution.contact_status)[3] == "open"
+
+
+@pytest.mark.parametrize(("width", "overlap"), [(1, 1e-12), (1, 1e-30), (1, 1e-60), (2, 1e-12), (2, 1e-30)])
+def test_an_overlap_that_contacts_alone_prescribe_is_no_rounding_of_forces(width: int, overlap: float) -> None:
+    """A stuck body is pushed back by its overlap, however small that is beside what its load would move."""
+    n = width + 1
+    load = np.array([1.0, *[0.125] * width])
+    problem = cq.ContactProblem(
+        2 * np.eye(n) + 0.3, load, np.eye(1, n), [-overlap], tangent=np.eye(n)[1:], friction=0.5
+    )
+    solution = cq.solve(problem)
+    assert solution.displacement == pytest.approx([-overlap, *[0.0] * width], rel=1e-12, abs=1e-12 * overlap)
+    assert solution.contact_status.tolist() == ["stick"]
+    assert solution.normal_force == pytest.approx([1.0], rel=1e-9)
+    assert not cq.certify(problem, np.zeros(n), solution.normal_force, solution.friction_force).passed
+
+
+def test_what_floats_cannot_tell_is_found_in_rational_numbers() -> None:
+    """Stiffness from 1e-140 to 1e74 hides the one equilibrium from floats; a contact that never closes is left out."""
+    K = [
+        [1.699e17, 4.233e45, 1.528e-62, 9.964e-26],
+        [4.233e45, 6.667e74, 2.726e-33, -5076.0],
+        [1.528e-62, 2.726e-33, 1.785e-140, 2.037e-105],
+        [9.964e-26, -5076.0, 2.037e-105, 5.921e-67],
+    ]
+    load = [-3.63e7, 2.244e37, -3.122e-72, -1.683e-35]
+    normal = np.array([[-1.0, -1.0, -1.0, -1.0], [0.0, 0.0, -2.0, 0.0], [-2.0, 1.0, -1.0, 1.0]])
+    tangent = np.array([[-2.0, 1.0, -2.0, 2.0], [2.0, 2.0, 2.0, -2.0], [1.0, 2.0, -2.0, -1.0]])
+    problem = cq.ContactProblem(K, load, normal, [0.485, -1.032, 0.2506], tangent, 0.5)
+    [exact] = cq.exact_equilibria(problem)
+    solution = cq.solve(problem)
+    assert solution.method == "enumeration"
+    assert solution.normal_force == pytest.approx([float(force) for force in exact.normal_force], rel=1e-9)
+    beside = problem.replace(
+        normal=normal[[0, 0, 1, 2]], gap=[np.inf, *problem.gap], tangent=tangent[[0, 0, 1, 2]], friction=0.5
+    )
+    assert cq.solve(beside).normal_force == pytest.approx([0.0, *solution.normal_force], rel=1e-9)
