@@ -16,7 +16,7 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
-from contactqp.exchange.files import Ledger, Path, read_bytes, text_lines, wrong
+from contactqp.exchange.files import Ledger, Path, read_bytes, refuse_utf_16, text_lines, wrong
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import ContactProblem
 
@@ -215,6 +215,7 @@ def _lines(path: Path) -> Iterator[str]:
     bytes.
     """
     head = read_bytes(path, FRD_EXPECTED, len(BEGINNING))
+    refuse_utf_16(path, head)
     if head != BEGINNING:
         raise wrong(path, "first line", f"{FRD_EXPECTED}, beginning with 1C", repr(head.decode("latin-1")))
     return text_lines(path, FRD_EXPECTED)

@@ -9,6 +9,7 @@ import importlib.util
 import os
 import re
 import stat
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -139,7 +140,7 @@ HEAD = 512
 
 
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
-    """Return the first bytes of a file, or all.
+    """Return the first bytes of a file without the mark of UTF-8, which says nothing of its format, or all bytes.
 
     Raises InvalidProblem: there is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
     """
@@ -148,7 +149,7 @@ def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
         raise wrong(path, "size", f"{expected} of at most {LARGEST_WHOLE >> 20} MiB", f"{size / 2**20:.0f} MiB")
     try:
         with open(path, "rb") as file:
-            return file.read(most)
+            return file.read() if most < 0 else file.read(most + len(BOM_UTF8)).removeprefix(BOM_UTF8)[:most]
     except (OSError, ValueError) as error:
         raise _unreadable(path, expected, error) from None
 
@@ -232,7 +233,7 @@ LONGEST = 2**16
 
 
 def text_lines(path: Path, expected: str) -> Iterator[str]:
-    """Yield the lines, without their ends.
+    """Yield the lines, without their ends and without the mark of UTF-8 that Windows' programs begin text with.
 
     Raises InvalidProblem: no such file, an empty one, a byte that is not ASCII or zero, an endless line, or a last line
     that does not end: such a file was cut off, maybe within a number.
@@ -243,6 +244,9 @@ def text_lines(path: Path, expected: str) -> Iterator[str]:
     with open(path, "rb") as file:
         while line := file.readline(LONGEST):
             number += 1
+            if number == 1:
+                refuse_utf_16(path, line)
+                line = line.removeprefix(BOM_UTF8)
             if not line.endswith(b"\n"):
                 if len(line) == LONGEST:
                     raise wrong(path, f"line {number}", f"at most {LONGEST} bytes", "more")

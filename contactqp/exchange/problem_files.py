@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing, InvalidProblem, counted, counts
 from contactqp.exchange.fclib import SIGNATURE, SIGNATURE_PLACES, is_hdf5, read_fclib
-from contactqp.exchange.files import Ledger, Path, check_finite, read_bytes, wrong
+from contactqp.exchange.files import Ledger, Path, check_finite, read_bytes, refuse_utf_16, wrong
 from contactqp.exchange.matrix_files import stiffness_suffixes
 from contactqp.exchange.numpy_files import ZIP, names_in_npz, read_npz, sparse_matrix
 from contactqp.exchange.problem_folder import is_problem_folder, read_problem_archive, read_problem_folder
@@ -98,6 +98,7 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
     """Read a program by HiGHS, which turns the signs of one that is to be maximised."""
     if importlib.util.find_spec("highspy") is None:
         raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
+    refuse_utf_16(path, read_bytes(path, EXPECTED, HEAD))
     found = _matrices(path, read_in_own_process(path, "qps", "a quadratic program in QPS form"))
     parts = {name: found[name] for name in ("C", "l", "u", "lb", "ub")}
     parts["dof_names"] = _names(found["names"], len(found["q"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from codecs import BOM_UTF8
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from contactqp.exchange.files import (
     is_number,
     naming,
     read_bytes,
+    refuse_utf_16,
     wrong,
 )
 from contactqp.model.arguments import checked
@@ -34,7 +36,8 @@ class Words:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        data = read_bytes(path, EXPECTED)
+        data = read_bytes(path, EXPECTED).removeprefix(BOM_UTF8)
+        refuse_utf_16(path, data)
         try:
             self._text = data.decode("ascii")
         except UnicodeDecodeError as error:

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -96,7 +97,7 @@ def read_matrix_market(path: Path) -> MatrixFile:
 
 
 def _head(path: Path, size: int, file: BinaryIO) -> Head:
-    words = file.readline(LONGEST_LINE).decode("latin-1").split()
+    words = file.readline(LONGEST_LINE).removeprefix(BOM_UTF8).decode("latin-1").split()
     line = file.readline(LONGEST_LINE)
     while line and (line.startswith(b"%") or not line.strip()):
         line = file.readline(LONGEST_LINE)

@@ -20,6 +20,7 @@ from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem, SceneError, Unsupported, shown
+from contactqp.exchange.files import UTF_16
 from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arguments import checked, is_readable
 from contactqp.model.arrays import READ, STEPS, own_floating_point, stage
@@ -175,6 +176,8 @@ def _text(file: Path) -> str:
 
 
 def _decoded(data: bytes) -> str:
+    if data.startswith(UTF_16):
+        raise SceneError("expected text in UTF-8, got UTF-16: save it as UTF-8")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:

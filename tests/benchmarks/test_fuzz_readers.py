@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from benchmarks.fuzz_readers import JUDGED, REFUSED, outcome, run_format
 from benchmarks.mutations import MUTATIONS, bomb, mutate
 from benchmarks.valid_files import SLOW, Seed, seeds
-from contactqp.errors import InvalidProblem
+from contactqp.errors import InvalidProblem, SceneError
 from tests.cli.test_cli import run
 
 # Mutated files of each of 40 formats, from which one on; more than so many are refused, and than so many judged.
@@ -35,6 +36,33 @@ def test_every_valid_file_is_judged(written):
     for name, seed in known.items():
         if not name.startswith(SLOW):
             assert outcome(seed, root / name) == JUDGED, name
+
+
+# Matrices, tables and results that other programs print as text.
+PRINTED = ("matrix-K.mtx", "answer-job.dat", "answer-job.frd", "answer-u.mtx", "matrix-sti", "matrix-dof",
+           "matrix-abaqus", "matrix-K.rsa", "siconos-local", "siconos-global", "answer-a.csv", "answer-a.json",
+           "case-toml", "dof-map", "contacts-csv", "quadratic-program.qps", "deck-plane", "deck-plane-results",
+           "mesh-inp")  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PRINTED)
+def test_windows_text_is_read_as_any_other_and_utf_16_is_named(written, name):
+    """A mark of UTF-8 and CR LF change nothing; what is in UTF-16 says how to save it."""
+    root, known = written
+    seed, file = known[name], root / name / known[name].mutated
+    plain = file.read_bytes()
+    try:
+        windows = plain.replace(b"\n", b"\r\n")
+        for text in (windows, BOM_UTF8 + plain, BOM_UTF8 + windows):
+            file.write_bytes(text)
+            assert outcome(seed, root / name) == JUDGED
+        for mark, code in ((b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be")):
+            file.write_bytes(mark + plain.decode().encode(code))
+            with pytest.raises((InvalidProblem, SceneError), match=r"UTF-16: save it as UTF-8|expected \*NODE"):
+                seed.ask(root / name)
+    finally:
+        file.write_bytes(plain)
 
 
 @pytest.mark.slow

@@ -111,6 +111,22 @@ def test_the_last_increment_is_the_answer(tmp_path: Path, name: str, text: str) 
     assert cq.certify(PROBLEM, parts["displacement"], force).passed
 
 
+@pytest.mark.parametrize(("name", "text"), [("job.frd", FRD), ("job.dat", DAT)])
+def test_text_that_windows_saved_again_is_read_and_utf_16_named(tmp_path: Path, name: str, text: str) -> None:
+    plain, saved, wide = (tmp_path / part / name for part in ("plain", "saved", "wide"))
+    for file, data in (
+        (plain, text.encode()),
+        (saved, b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()),
+        (wide, text.encode("utf-16")),
+    ):
+        file.parent.mkdir()
+        file.write_bytes(data)
+    expected, found = (read_answer(file, PROBLEM).parts["displacement"] for file in (plain, saved))
+    assert found.tolist() == expected.tolist()
+    with pytest.raises(InvalidProblem, match="UTF-16: save it as UTF-8"):
+        read_answer(wide, PROBLEM)
+
+
 def test_tables_of_no_contact_are_named_in_the_ledger(tmp_path: Path) -> None:
     ledger = read_answer(written(tmp_path, "job.dat", DAT), PROBLEM).ledger
     assert any("statistics for slave set" in line for line in ledger.ignored)

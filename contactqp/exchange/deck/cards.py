@@ -25,7 +25,7 @@ import numpy as np
 
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.deck.model import ELASTIC, PROCEDURE, REFUSED
-from contactqp.exchange.files import DECIMAL_COMMA, Path, number, read_bytes
+from contactqp.exchange.files import DECIMAL_COMMA, Path, number, read_bytes, refuse_utf_16
 from contactqp.model.arrays import Index, Vector
 
 EXPECTED = "an input deck of Abaqus or CalculiX"
@@ -220,14 +220,10 @@ def _lines(path: Path, above: list[str], count: list[int]) -> Iterator[Line]:
     if os.path.abspath(name) in above or len(above) >= DEEPEST:
         raise InvalidProblem(f"{name}: *INCLUDE: expected files that do not include each other, got a circle")
     above = [*above, os.path.abspath(name)]
-    texts = (
-        read_bytes(path, EXPECTED)
-        .removeprefix(codecs.BOM_UTF8)
-        .decode("latin-1")
-        .replace("\r\n", "\n")
-        .replace("\r", "\n")
-        .split("\n")
-    )
+    data = read_bytes(path, EXPECTED)
+    refuse_utf_16(path, data)
+    text = data.removeprefix(codecs.BOM_UTF8).decode("latin-1")
+    texts = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     count[0] += len(texts)
     if count[0] > MOST_LINES:
         raise InvalidProblem(f"{name}: expected a deck of at most {MOST_LINES} lines")
