@@ -270,6 +270,7 @@ class CombinationSystem:
             self._turning, self._origin = sp.csr_matrix(across @ iteration.entries), across @ rows.limit
         self._smooth = iteration.smoother(self._active, across)
         self._scale = np.sqrt(iteration.diagonal)
+        self._last: tuple[Vector, Vector, Vector] | None = None  # x, r and P_H M r, where these were formed last
 
     def closed(self, u: Vector) -> Vector:
         """Return a displacement moved onto the limits of the constrained rows."""
@@ -293,6 +294,17 @@ class CombinationSystem:
         """Return |r'P_H M r|, about the square of the error in energy; `along` is P_H M r where it is known."""
         return abs(self._iteration.dot(unbalanced, self._along(unbalanced) if along is None else along))
 
+    def error_at(self, x: Vector) -> float:
+        """Return the error of a displacement, whose residual is not formed anew where `solved` has just done so."""
+        return self.error(*self._looked_at(x))
+
+    def _looked_at(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return r and P_H M r at a displacement; that it is the last one is told by its identity, on all ranks alike."""
+        if self._last is None or self._last[0] is not x:
+            unbalanced = self.unbalanced(x)
+            self._last = x, unbalanced, self._along(unbalanced)
+        return self._last[1:]
+
     def solved(self, x: Vector, tolerance: float, energy: float, most: int = ROUNDS * STEPS) -> Vector:
         """Solve from a displacement on the limits until equilibrium and energy are met, or GMRES gets no further.
 
@@ -309,10 +321,9 @@ class CombinationSystem:
         """
         last = self._iteration.krylov_iterations + most
         for _ in range(ROUNDS):
-            unbalanced = self.unbalanced(x)
+            unbalanced, along = self._looked_at(x)
             if self._small(x, unbalanced, BALANCED):
                 break
-            along = self._along(unbalanced)
             error = self.error(unbalanced, along)
             if self._balanced(x, unbalanced, tolerance) and error <= energy**2 * self._work(x):
                 break

@@ -100,7 +100,7 @@ class FrictionNewton:
             here, before = system.answer(x), mark
             if last:
                 answer = self._rows.within_law(here, states)
-                floor = STUCK * system.error(system.unbalanced(x))
+                floor = STUCK * system.error_at(x)
                 enough = system.enough(x, self._rows.residual(answer), self._tolerance, self._energy, floor)
                 if enough and self.certifiable(answer):
                     return answer

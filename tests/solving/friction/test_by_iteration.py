@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
+from contactqp.certificate.state_bodies import IteratedBodies
 from contactqp.linalg import multigrid
+from contactqp.linalg.iterated_states import FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.solving.friction import by_iteration
@@ -340,3 +343,36 @@ def test_where_the_iteration_ends_without_an_answer_the_body_is_factorised(
         "Tresca fixed-point iteration, each step by active-set: tresca: the friction bounds have not settled"
     )
     assert solution.work.routes[1] == "factorised: its answer is certified"
+
+
+def test_what_was_formed_at_a_displacement_is_kept_for_that_one_alone() -> None:
+    problem = fresh(on_paraboloid((5, 5, 3), friction=0.3))
+    solution = cq.solve(problem)
+    rows = FrictionRows(problem, frictional_iteration(problem))
+    answer = FrictionalAnswer(solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force)
+    system = by_iteration.CombinationSystem(rows, rows.coulomb(answer, None))
+    x = system.solved(system.closed(1.01 * solution.displacement), 1e-9, 1e-9)
+    other = system.closed(1.02 * solution.displacement)
+    for at in (x, other, x, other.copy()):
+        assert system.error_at(at) == system.error(system.unbalanced(at))
+    assert system.error_at(other) > 1e6 * system.error_at(x)
+
+
+def test_the_response_to_forces_is_that_of_the_opposite_ones_and_of_no_others() -> None:
+    problem = fresh(on_paraboloid((5, 5, 3), friction=0.3))
+    bodies, random = IteratedBodies(problem), np.random.default_rng(4)
+    normal, friction = random.random(problem.contacts), random.standard_normal((problem.contacts, 2))
+    first = bodies.response_norm(normal, friction)
+    steps = bodies._iteration.krylov_iterations
+    assert bodies.response_norm(-normal, -friction) == first
+    assert bodies._iteration.krylov_iterations == steps
+    truth = np.sqrt(_response(problem, normal, friction))
+    assert first == pytest.approx(truth, rel=0.1)
+    other = np.sqrt(_response(problem, normal, -friction))
+    assert bodies.response_norm(normal, -friction) == pytest.approx(other, rel=0.1)
+
+
+def _response(problem: cq.ContactProblem, normal: Any, friction: Any) -> float:
+    """Return f'K^-1 f of contact forces, by SuperLU."""
+    load = problem.normal.T @ normal + problem.tangent.T @ friction.ravel()
+    return float(load @ spsolve(sp.csc_matrix(problem.stiffness), load))
