@@ -244,6 +244,32 @@ def _run(code: str) -> str:
     return done.stdout.strip()
 
 
+# Classes of displacements with forces: the answer and those that show the one they hold, points of a search, errors and
+# distances as one number each, and what is drawn of bodies, surfaces and histories. All others hold an answer.
+WITH_DISPLACEMENT_AND_FORCE = 14
+
+
+def classes_with_displacement_and_force(source: str) -> list[str]:
+    """Return the classes that have a field `displacement` and one of forces, flags aside."""
+    found = []
+    for node in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)):
+        fields = [
+            part for part in node.body if isinstance(part, ast.AnnAssign) and ast.unparse(part.annotation) != "bool"
+        ]
+        names = {ast.unparse(part.target) for part in fields}
+        if "displacement" in names and any(re.search(r"(^|_)forces?$", name) for name in names):
+            found.append(node.name)
+    return found
+
+
+def test_answers_are_held_and_their_fields_not_repeated() -> None:
+    again = "class Again:\n    displacement: Vector\n    tie_force: Vector\n"
+    assert classes_with_displacement_and_force(again) == ["Again"]
+    assert classes_with_displacement_and_force(again.replace("tie_force: Vector", "one_force: bool")) == []
+    found = [name for file in PACKAGE.rglob("*.py") for name in classes_with_displacement_and_force(file.read_text())]
+    assert 0 < len(found) <= WITH_DISPLACEMENT_AND_FORCE, sorted(found)
+
+
 # Files that a problem of two unknowns may enter, and moves between them: a reader follows each of them.
 PATHS = {"solve": (15, 146), "certify": (12, 104), "friction": (22, 217)}
 

@@ -30,6 +30,7 @@ from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import AnswerOf
 
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
@@ -58,6 +59,11 @@ class Parts:
     normal: Vector
     tangent: Array
     tie: Vector
+
+    @classmethod
+    def of(cls, found: AnswerOf[Vector, Array]) -> Parts:
+        """Return an answer, or a change of one, as such parts."""
+        return cls(found.displacement, found.normal_force, found.friction_force, found.tie_force)
 
     @classmethod
     def zero(cls, problem: ContactProblem) -> Parts:
@@ -130,13 +136,9 @@ class Direction:
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
+class Rates(AnswerOf[Vector, Array]):
     """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
 
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array  # (m, d-1)
-    tie_force: Vector  # (k,)
     gap: Vector  # (m,)
     slip: Array  # (m, d-1)
     reaction: Vector  # (n,)
@@ -424,11 +426,11 @@ class _Frictional:
 
     def correct(self, left: Parts, transposed: bool) -> Parts:
         data = left.displacement, left.normal, left.tangent.ravel(), left.tie
-        return Parts(*self._system.correct(*data, transposed=transposed))
+        return Parts.of(self._system.correct(*data, transposed=transposed))
 
     def unresolved(self) -> list[Parts]:
         """Return a basis of what may be added to solutions."""
-        return [Parts(*parts) for parts in self._system.unresolved()]
+        return [Parts.of(one) for one in self._system.unresolved()]
 
     def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
         """Return E_N u, of the transposed system (E_N + mu t'E_T) u."""

@@ -270,7 +270,7 @@ class Linearised:
         found = self._by_problem(
             Direction(**(vars(zero) | dict(load=weights.displacement, gap=weights.normal, tie_value=weights.tie)))
         )
-        return Parts(found.displacement, found.normal_force, found.friction_force, found.tie_force)
+        return Parts.of(found)
 
     def _in_states(self, system: RateSystem, direction: Direction) -> Rates:
         """Return the rates in one combination of states."""

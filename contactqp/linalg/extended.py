@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, AnswerOf
 
 EPS = 2.0**-104
 # Rows with more entries are summed on their own, in pairs.
@@ -403,24 +403,23 @@ def extended_rows(problem: ContactProblem) -> ExtendedRows:
 
 
 @dataclass(frozen=True, eq=False)
-class ExtendedAnswer:
-    """A displacement with contact and tie forces in twice double precision; friction forces in doubles, if any."""
+class ExtendedAnswer(AnswerOf[Extended, Extended | Array | None]):
+    """A displacement with contact and tie forces in twice double precision.
 
-    displacement: Extended  # (n,)
-    normal_force: Extended  # (m,)
-    tie_force: Extended  # (k,)
-    friction_force: Extended | Array | None = None  # (m, d-1), or flat in extended precision
+    Friction forces, if any, are (m, d-1) in doubles, or flat in extended precision.
+    """
 
     @classmethod
     def of(cls, answer: Answer) -> ExtendedAnswer:
         """Return the answer that these doubles are."""
         u, normal, tie = Extended(answer.displacement), Extended(answer.normal_force), Extended(answer.tie_force)
-        return cls(u, normal, tie, answer.friction_force)
+        return cls(u, normal, answer.friction_force, tie)
 
     @classmethod
     def at_rest(cls, problem: ContactProblem) -> ExtendedAnswer:
         """Return the displacement of zero without forces."""
-        return cls(*(Extended(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties)))
+        u, force, tie = (Extended(np.zeros(size)) for size in (problem.dimension, problem.contacts, problem.ties))
+        return cls(u, force, None, tie)
 
     def corrected(self, du: Vector, closed: Indices, dl: Vector, dn: Vector) -> ExtendedAnswer:
         """Return the answer with a correction in doubles.
@@ -432,7 +431,7 @@ class ExtendedAnswer:
         """
         force = self.normal_force.added_at(closed, dl)
         tie = self.tie_force + dn if dn.size else self.tie_force
-        return ExtendedAnswer(self.displacement + du, force, tie, self.friction_force)
+        return ExtendedAnswer(self.displacement + du, force, self.friction_force, tie)
 
     def rounded(self, closed: Indices) -> tuple[Vector, Vector, Vector]:
         """Return displacement, forces of the closed contacts and of ties in double precision."""

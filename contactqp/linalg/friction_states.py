@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Mask, Vector, refuse_late, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, AnswerOf
 
 
 class ScaledRows(Protocol):
@@ -56,13 +56,8 @@ class ScaledRows(Protocol):
     coefficient: Vector
 
 
-class Correction(NamedTuple):
-    """Changes of displacements and forces; that of friction is of sticking contacts."""
-
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array  # (m, d-1)
-    tie_force: Vector  # (k,)
+# Changes of displacements and forces; those of friction (m, d-1) are of sticking contacts.
+Correction = AnswerOf[Vector, Array]
 
 
 class Corrections(Protocol):
@@ -257,13 +252,9 @@ def _of_unit_length(rows: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class RefinedState:
-    """The answer of one combination in extended precision, whether its signs hold or not."""
+class RefinedState(AnswerOf[Extended, Extended]):
+    """The answer of one combination in extended precision, whether its signs hold or not; friction forces are flat."""
 
-    displacement: Extended  # (n,)
-    normal_force: Extended  # (m,)
-    friction_force: Extended  # (m (d-1),)
-    tie_force: Extended  # (k,)
     directions: Array  # (m, d-1) of slip
     last: Correction
     regular: bool  # whether every system on the way had an inverse
@@ -371,14 +362,14 @@ def refined_by(
         u, tie, force, stick = x.parted(*ends)
         friction = stick + force.spread(coefficients * directions)
         if left is None:
-            left = residuals_of(exact, problem, ExtendedAnswer(u, force, tie, friction), elastic)
+            left = residuals_of(exact, problem, ExtendedAnswer(u, force, friction, tie), elastic)
         else:
             left = replace(left, force=left.force - exact.friction_force(friction - given.ravel()))
         if not in_space:
             slip = ((exact.slip(u) if left.slip is None else left.slip) - origin).double()
         correction = system.correct(left.force.double(), left.gap.double(), -slip, left.tie.double())
-        du, dl, dt, dn = correction
-        change = np.concatenate([du, dn, dl, dt.ravel()])
+        du, dl, dt = correction.displacement, correction.normal_force, correction.friction_force
+        change = np.concatenate([du, correction.tie_force, dl, dt.ravel()])
         x = x + change
         whole = x.double()
         moved, most = np.maximum.reduceat(abs(unit * change), parts), np.maximum.reduceat(abs(unit * whole), parts)

@@ -112,7 +112,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     force[near] = -size * found.ineqlin.marginals if len(near) else 0.0
     closed[near] = force[near] > 0
     of_ties = -size * found.eqlin.marginals if problem.ties else np.zeros(0)
-    start = ExtendedAnswer(answer.displacement + extend(length * found.x), extend(force), extend(of_ties))
+    start = ExtendedAnswer(answer.displacement + extend(length * found.x), extend(force), None, extend(of_ties))
     return nearest_state(problem, closed, start, effort)
 
 
@@ -170,7 +170,7 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
     change[kept] = tie[: len(kept)]
     force = (answer.normal_force + extend(change)).positive_part()
     return ExtendedAnswer(
-        answer.displacement + extend(length * found.x), force, answer.tie_force + extend(tie[len(kept) :])
+        answer.displacement + extend(length * found.x), force, None, answer.tie_force + extend(tie[len(kept) :])
     )
 
 

@@ -162,15 +162,15 @@ def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
     force, kept = np.zeros(problem.contacts), state.closed.copy()
     force[closed] = size * found.x[:count]
     kept[closed] = found.x[:count] > CARRIES
-    start = ExtendedAnswer(state.answer.displacement, extend(force), extend(size * found.x[count:]))
+    start = ExtendedAnswer(state.answer.displacement, extend(force), None, extend(size * found.x[count:]))
     least = with_right_signs(solved_on(problem, kept, start, effort), effort)
     return least if least.holds else state
 
 
 def carried_by_rows(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
     """Return f - K u (n,), which the forces of contacts and ties balance [force]."""
-    none = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
-    resting = ExtendedAnswer(answer.displacement, *none)
+    no_force, no_tie = extend(np.zeros(problem.contacts)), extend(np.zeros(problem.ties))
+    resting = ExtendedAnswer(answer.displacement, no_force, None, no_tie)
     return residuals_of(extended_rows(problem), problem, resting).force.double()
 
 

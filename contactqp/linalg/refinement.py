@@ -172,6 +172,7 @@ def _refined(
     return OnSet(
         displacement=answer.displacement,
         normal_force=answer.normal_force,
+        friction_force=None,
         tie_force=answer.tie_force,
         gap=gap,
         gaps=gaps,
@@ -193,7 +194,7 @@ def _start(
     kept = np.zeros(problem.contacts, dtype=bool)
     kept[closed] = True
     force = np.where(kept, start.normal_force, 0.0)
-    answer = ExtendedAnswer(Extended(start.displacement), Extended(force), Extended(start.tie_force))
+    answer = ExtendedAnswer(Extended(start.displacement), Extended(force), None, Extended(start.tie_force))
     return answer, None if start.normal_force[~kept].any() else residual
 
 

@@ -247,7 +247,7 @@ class ClosedState:
         """
         force = answer.normal_force
         force = Extended(np.where(closed, force.hi, 0.0), np.where(closed, force.lo, 0.0))
-        answer = ExtendedAnswer(answer.displacement, force, answer.tie_force)
+        answer = ExtendedAnswer(answer.displacement, force, None, answer.tie_force)
         doubles = answer.double()
         left = plain_residuals(problem, doubles) if plain else residuals_of(extended_rows(problem), problem, answer)
         u = abs(doubles.displacement)

@@ -8,7 +8,7 @@ from functools import cached_property
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,23 @@ class Nothing(ReadOnly):
 ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 
 
-@dataclass(frozen=True, eq=False)
-class Answer(ReadOnly):
-    """A displacement with its forces, in the shapes of a problem."""
+V = TypeVar("V")  # what the entries of a vector are kept in: doubles, extended or rational numbers
+F = TypeVar("F")  # the same for friction forces, which may have another shape, or be None
 
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array | None  # (m, d-1)
-    tie_force: Vector  # (k,)
+
+@dataclass(frozen=True, eq=False)
+class AnswerOf(Generic[V, F]):
+    """A displacement with its forces in the signs of a `ContactProblem`, in numbers of any kind."""
+
+    displacement: V  # (n,)
+    normal_force: V  # (m,)
+    friction_force: F  # (m, d-1)
+    tie_force: V  # (k,)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer(AnswerOf[Vector, Array | None], ReadOnly):
+    """A displacement with its forces in doubles, in the shapes of a problem."""
 
 
 def _of_answer(name: str, doc: str) -> Any:
@@ -64,10 +73,14 @@ class HoldsAnswer:
     """A class that holds an `Answer` and shows the arrays of it as its own."""
 
     answer: Answer
-    displacement: Vector = _of_answer("displacement", "The displacement of the answer (n,).")
-    normal_force: Vector = _of_answer("normal_force", "The normal forces (m,), positive in compression.")
-    friction_force: Array | None = _of_answer("friction_force", "The friction forces (m, d-1); None without friction.")
-    tie_force: Vector = _of_answer("tie_force", "The forces of the ties (k,).")
+    displacement: Vector = _of_answer("displacement", "Displacement (n,) of `answer` [length].")
+    normal_force: Vector = _of_answer(
+        "normal_force", "Normal forces (m,) of `answer`, positive in compression [force]."
+    )
+    friction_force: Array | None = _of_answer(
+        "friction_force", "Friction (m, d-1) of `answer` [force]; None without it."
+    )
+    tie_force: Vector = _of_answer("tie_force", "Forces of the ties (k,) of `answer` [force].")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
-from contactqp.model.solution import BY_DISPLACEMENT, Answer
+from contactqp.model.solution import BY_DISPLACEMENT, Answer, HoldsAnswer
 from contactqp.oracle.foreign.foreign_answer import GivenAnswer
 from contactqp.oracle.foreign.judging import aligned, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
@@ -26,15 +26,12 @@ from contactqp.oracle.judged_answer import JudgedAnswer, certify, read_given
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(HoldsAnswer):
     """A right answer, and whether it is the only one."""
 
     problem: ContactProblem
     name: str
-    displacement: Vector  # (n,)
-    normal_force: Vector  # (m,)
-    friction_force: Array | None  # (m, d-1)
-    tie_force: Vector  # (k,)
+    answer: Answer
     open: Mask  # (m,)
     slip: Array  # (m, d-1) zero where it sticks, (m, 0) without friction
     one_displacement: bool
@@ -88,10 +85,7 @@ def known_reference(known: GalleryProblem) -> Reference:
     return Reference(
         problem,
         known.name,
-        known.displacement,
-        known.normal_force,
-        known.friction_force,
-        known.tie_force,
+        Answer(known.displacement, known.normal_force, known.friction_force, known.tie_force),
         np.array([gap > 0 for gap in exact.gap], dtype=bool),
         np.array([[float(x) for x in row] for row in exact.slip]).reshape(problem.contacts, -1 if exact.slip else 0),
         known.unique_displacement,
@@ -111,10 +105,7 @@ def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
     return Reference(
         problem,
         repr(problem),
-        found.displacement,
-        found.normal_force,
-        found.friction_force,
-        found.tie_force,
+        found.answer,
         found.contact_status == "open",
         slip,
         only and not found.free_motions and found.certificate.determined == BY_DISPLACEMENT,

@@ -102,12 +102,10 @@ class Ticket:
 
 @dataclass(frozen=True, eq=False)
 class FoundTruth:
-    """The truth of a case without its problem; `normal_force` is None where nothing is proven."""
+    """The truth of a case without its problem; `values` is None where nothing is proven."""
 
     source: str
-    displacement: Vector | None = None
-    normal_force: Vector | None = None
-    tie_force: Vector | None = None
+    values: tuple[Vector, Vector, Vector | None] | None = None  # displacement, normal and tie forces, as in `Truth`
     unique_forces: bool = True
     free: bool = False
     contradicted: bool = False
@@ -118,14 +116,13 @@ class FoundTruth:
         if truth is None:
             return cls("nothing, as no answer is proven")
         values = (truth.displacement, truth.normal_force, truth.tie_force)
-        return cls(truth.source, *values, truth.unique_forces, truth.free, truth.contradicted)
+        return cls(truth.source, values, truth.unique_forces, truth.free, truth.contradicted)
 
     def on(self, study: CaseStudy) -> Truth | None:
         """Return the truth of that case's problem; None where nothing is proven."""
-        if self.displacement is None or self.normal_force is None:
+        if self.values is None:
             return None
-        values = (self.displacement, self.normal_force, self.tie_force)
-        return Truth(study.problem, *values, self.source, self.unique_forces, self.free, self.contradicted)
+        return Truth(study.problem, *self.values, self.source, self.unique_forces, self.free, self.contradicted)
 
 
 @dataclass(frozen=True)

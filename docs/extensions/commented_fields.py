@@ -17,6 +17,8 @@ ARRAYS = {
     "NDArray[np.int64]": "array of int",
     "NDArray[np.str_]": "array of str",
     "NDArray[np.bool_]": "array of bool",
+    "V": "array",
+    "F": "array or None",
 }
 
 
@@ -37,7 +39,15 @@ def _add_fields(app: Any, what: str, name: str, member: Any, options: Any, lines
 
 
 def field_comments(kind: type) -> dict[str, tuple[str, str]]:
-    """The public fields of a dataclass in the order of its source: annotation, and the comment on the field's lines."""
+    """The public fields of a dataclass, those of its bases first: annotation, and the comment on the field's lines."""
+    found: dict[str, tuple[str, str]] = {}
+    for base in reversed(kind.__mro__):
+        if dataclasses.is_dataclass(base):
+            found |= _own_field_comments(base)
+    return found
+
+
+def _own_field_comments(kind: type) -> dict[str, tuple[str, str]]:
     source = textwrap.dedent(inspect.getsource(kind))
     (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)

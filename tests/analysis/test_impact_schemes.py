@@ -37,7 +37,7 @@ class StewartTrinkle(Scheme):
 
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         found, h, u = answers[-1], self.body.step, state.displacement
-        return State(u + h * found.unknown, found.unknown, found.normal / h, found.friction / h, found.tie / h, u)
+        return State(u + h * found.unknown, found.normal / h, found.friction / h, found.tie / h, found.unknown, u)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         del before
@@ -50,7 +50,7 @@ class Pulling(StewartTrinkle):
 
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         ended = super().accept(state, answers)
-        return State(ended.displacement, ended.velocity, -ended.normal_force, *(np.zeros(0),) * 2, ended.before)
+        return State(ended.displacement, -ended.normal_force, *(np.zeros(0),) * 2, ended.velocity, ended.before)
 
 
 @pytest.fixture

@@ -25,12 +25,23 @@ class Example:
     third: str = ""
 
 
+@dataclass(frozen=True)
+class More(Example):
+    """With a field of its own."""
+
+    fourth: str = ""
+
+
 def test_fields_are_described_by_the_comments_behind_them() -> None:
     assert field_comments(Example) == {
         "first": ("float", "[m]"),
         "second": ("int or None", "where none, nothing"),
         "third": ("str", ""),
     }
+
+
+def test_fields_of_a_base_come_first() -> None:
+    assert list(field_comments(More)) == ["first", "second", "third", "fourth"]
 
 
 def test_absolute_values_are_escaped_outside_of_literals_only() -> None:

@@ -63,7 +63,7 @@ def residuals_laid_out(array, monkeypatch):
     )
     u, normal, tie, friction = (Extended(random.normal(size=n), 1e-18 * random.normal(size=n)) for n in (7, 2, 2, 2))
     exact = ExtendedRows(problem)
-    left = residuals_of(exact, problem, ExtendedAnswer(u, normal, tie, friction))
+    left = residuals_of(exact, problem, ExtendedAnswer(u, normal, friction, tie))
     found = [left.force, left.gap, left.tie, exact.gap(problem, u), exact.slip(u)]
     E_N, E_T, A = (matrix.toarray() for matrix in (problem.normal, problem.tangent, problem.tie))
     outward = np.concatenate([problem.stiffness, E_N, A, E_T]).T, joined(u, normal, tie, friction)
@@ -104,7 +104,7 @@ def test_a_slight_change_of_a_displacement_changes_its_elastic_forces_by_a_produ
     K = random.normal(size=(7, 7))
     problem = cq.ContactProblem(K @ K.T, random.normal(size=7), random.normal(size=(2, 7)), [0.1, 0.2])
     u, normal = Extended(random.normal(size=7), 1e-18 * random.normal(size=7)), Extended(random.normal(size=2))
-    exact, answer = ExtendedRows(problem), ExtendedAnswer(u, normal, Extended(np.zeros(0)))
+    exact, answer = ExtendedRows(problem), ExtendedAnswer(u, normal, None, Extended(np.zeros(0)))
     left = residuals_of(exact, problem, answer)
     change = 1e-16 * u.hi * random.normal(size=7)
     found = elastic_after(problem, u.double(), left.elastic, change)

@@ -340,7 +340,7 @@ def test_numbers_that_are_none_solve_nothing() -> None:
     problem = membrane(4, 0.03)
     closed, nothing = np.ones(16, dtype=bool), np.zeros(16)
     for u, force in ((np.full(16, np.nan), nothing), (nothing, np.full(16, np.nan)), (np.full(16, np.inf), nothing)):
-        answer = extended.ExtendedAnswer(*(extended.extend(part) for part in (u, force, np.zeros(0))))
+        answer = extended.ExtendedAnswer(extended.extend(u), extended.extend(force), None, extended.extend(np.zeros(0)))
         with np.errstate(all="ignore"):
             state = sparse_saddle.ClosedState.of(problem, closed, answer)
         assert not state.solved

@@ -19,7 +19,7 @@ from contactqp.errors import NotConverged
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
-from contactqp.model.solution import Solution
+from contactqp.model.solution import Answer, HoldsAnswer, Solution
 
 if TYPE_CHECKING:  # imported where something deforms: this module also says what is no large deformation
     from contactqp.elements.deformable import ContactGeometry, Deformable, LinearisedContacts
@@ -267,13 +267,12 @@ class LargeSolution(Solution):
 
 
 @dataclass(frozen=True, eq=False)
-class LimitPoint(ReadOnly):
+class LimitPoint(ReadOnly, HoldsAnswer):
     """A point of a path at which the load factor is greatest or least."""
 
     kind: str  # "maximum" or "minimum"
     load_factor: float
-    displacement: Vector = field(repr=False)
-    normal_force: Vector = field(repr=False)
+    answer: Answer = field(repr=False)
     after: int = 0  # the solution of the history that comes before it
     smooth: bool = True  # False: a contact closes or opens there
 

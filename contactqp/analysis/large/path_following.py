@@ -27,6 +27,7 @@ from contactqp.analysis.large.path_equations import (
 )
 from contactqp.errors import NotConverged
 from contactqp.model.arrays import Mask, Vector
+from contactqp.model.solution import Answer
 
 # Halvings of a step that fails.
 HALVINGS = 12
@@ -311,7 +312,9 @@ class PathFollower:
 
     def _limit_at(self, point: PathPoint, arriving: Direction, smooth: bool, after: int) -> LimitPoint:
         kind = "maximum" if arriving.load_factor > 0 else "minimum"
-        return LimitPoint(kind, point.load_factor, point.displacement, point.forces.normal, after, smooth)
+        forces = point.forces
+        answer = Answer(point.displacement, forces.normal, forces.friction, forces.tie)
+        return LimitPoint(kind, point.load_factor, answer, after, smooth)
 
 
 @dataclass(frozen=True, eq=False)

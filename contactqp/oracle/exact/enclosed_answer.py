@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
 from contactqp.model.arrays import Indices
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import FreeMotion, Solution
+from contactqp.model.solution import AnswerOf, FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
 from contactqp.oracle.exact.rational_answer import Asked, symmetrised
 from contactqp.oracle.exact.refinement import (
@@ -59,13 +59,10 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Enclosure:
+class Enclosure(AnswerOf[Floats, None]):
     """Radii around the approximation of a `Refined`; its contact set is proven."""
 
     refined: Refined
-    displacement: Floats  # (n,)
-    normal_force: Floats  # (m,)
-    tie_force: Floats  # (k,)
     gap: Floats  # (m,)
     definite: bool  # the stiffness is positive definite within the ties: the only equilibrium, and the minimum
 
@@ -118,7 +115,7 @@ def enclose(refined: Refined) -> Enclosure:
     gap[:] = reach * motion * SAFE
     gap[closed] = 0.0
     _refuse_undecided(refined, push, gap)
-    return Enclosure(refined, scale * motion * SAFE, push, ties * forces * SAFE, gap, is_convex(problem))
+    return Enclosure(scale * motion * SAFE, push, None, ties * forces * SAFE, refined, gap, is_convex(problem))
 
 
 def _scaled(problem: ContactProblem) -> tuple[Any, Floats]:

@@ -16,7 +16,7 @@ from contactqp.errors import counted
 from contactqp.model.arrays import Array
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.solution import FreeMotion
+from contactqp.model.solution import AnswerOf, FreeMotion
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -106,13 +106,9 @@ Floats = Array
 
 
 @dataclass(frozen=True, eq=False)
-class Parts(ReadOnly):
+class Parts(AnswerOf[Floats, Floats | None], ReadOnly):
     """Floats in the shapes of a `Solution`; `friction_force` and `slip` are None without friction."""
 
-    displacement: Floats  # (n,)
-    normal_force: Floats  # (m,)
-    friction_force: Floats | None  # (m, d-1)
-    tie_force: Floats  # (k,)
     gap: Floats  # (m,)
     slip: Floats | None  # (m, d-1)
 
@@ -128,19 +124,15 @@ class ExactEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class ExactSolution(ReadOnly):
+class ExactSolution(AnswerOf[Fractions, Fractions | None], ReadOnly):
     """The equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f in numbers that are proven; signs and shapes of `Solution`.
 
     Entries are Fractions: the exact values where `rational`, otherwise the midpoints of intervals mid +- radius, one an
-    entry, that hold the exact values (`radius`). `doubles` has the nearest floats.
+    entry, that hold the exact values (`radius`). `doubles` has the nearest floats. Where motions are free the
+    displacement is the one of least norm, or, enclosed, where floats have it (see the notes).
     """
 
     problem: ContactProblem = field(repr=False)
-    # (n,) u [length]; where motions are free the one of least norm, or, enclosed, where floats have it (see the notes)
-    displacement: Fractions
-    normal_force: Fractions  # (m,) l_N [force], positive in compression
-    friction_force: Fractions | None  # (m, d-1) l_T [force], what the body does to the obstacle
-    tie_force: Fractions  # (k,) nu [force]
     gap: Fractions  # (m,) g - E_N u [length], positive when open
     slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, since its start
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"

@@ -40,6 +40,7 @@ from contactqp.linalg.rational import (
     zeros,
 )
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import AnswerOf
 from contactqp.solving.friction.exact_enumeration import finite_gap
 
 if TYPE_CHECKING:
@@ -163,13 +164,8 @@ def _rows(rows: Sequence[Mapping[str, Any]], place: Mapping[str, int]) -> fmpq_m
 
 
 @dataclass(frozen=True, eq=False)
-class RationalAnswer:
-    """Columns with the signs of `contactqp.Solution`."""
-
-    displacement: fmpq_mat  # (n, 1)
-    normal_force: fmpq_mat  # (m, 1)
-    friction_force: fmpq_mat  # ((d-1) m, 1), without entries where there is no friction
-    tie_force: fmpq_mat  # (k, 1)
+class RationalAnswer(AnswerOf[fmpq_mat, fmpq_mat]):
+    """An answer in columns; that of friction, ((d-1) m, 1), has no entries where there is no friction."""
 
 
 @dataclass(frozen=True)

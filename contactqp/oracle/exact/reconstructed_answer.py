@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
+from contactqp.model.solution import AnswerOf, Solution
 from contactqp.oracle.exact.enclosed_answer import FLOATS_THAT_FLOAT, LOCAL, MINIMUM, is_convex, regular
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.rational_answer import PROVEN, Asked, symmetrised
@@ -52,13 +52,8 @@ class Column:
         return array
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstructed:
-    """An answer that is proven, with the signs of `contactqp.Solution`."""
-
-    displacement: Column  # (n,)
-    normal_force: Column  # (m,)
-    tie_force: Column  # (k,)
+# An answer without friction in numbers of one denominator each.
+Reconstructed = AnswerOf[Column, None]
 
 
 def reconstruct(refined: Refined) -> Reconstructed | None:
@@ -67,7 +62,7 @@ def reconstruct(refined: Refined) -> Reconstructed | None:
     push, tie = guessed(refined.normal_force), guessed(refined.tie_force)
     if u is None or push is None or tie is None:
         return None
-    answer = Reconstructed(u, push, tie)
+    answer = Reconstructed(u, push, None, tie)
     return answer if solves(refined.problem, answer) else None
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
+from contactqp.model.solution import AnswerOf, Solution
 from contactqp.solving.solve import solve
 
 # Floats as integers, and products of sparse matrices of them without any rounding.
@@ -265,13 +265,10 @@ FAR = 2.0**20
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class Refined(AnswerOf[Fixed, None]):
     """An approximation far beyond doubles, and its residuals without rounding; forces that do not push are zero."""
 
     problem: ContactProblem
-    displacement: Fixed  # (n,)
-    normal_force: Fixed  # (m,)
-    tie_force: Fixed  # (k,)
     imbalance: Fixed  # (n,) f - K u - E'l - A'nu
     gap: Fixed  # (m,) g - E u
     tie_error: Fixed  # (k,) b - A u
@@ -445,10 +442,11 @@ class _Walk:
     def refined(self, rounds: int, first: Solution) -> Refined:
         closed = np.flatnonzero([x > 0 for x in self.push.integers])
         return Refined(
-            self.problem,
             self.u,
             self.push,
+            None,
             self.tie,
+            self.problem,
             self.imbalance,
             self.gap,
             self.tie_error,

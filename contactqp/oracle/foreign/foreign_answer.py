@@ -18,18 +18,14 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import Array, Vector, all_finite
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate
+from contactqp.model.solution import ANSWER_PARTS, Answer, AnswerOf, Certificate
 from contactqp.oracle.foreign.recovery import displaced, pressed
 
 
 @dataclass(frozen=True, eq=False)
-class GivenAnswer(ReadOnly):
+class GivenAnswer(AnswerOf[Vector | None, Array | None], ReadOnly):
     """The parts of an answer that were given, in the problem's own order, signs and units; None where one was not."""
 
-    displacement: Vector | None  # (n,)
-    normal_force: Vector | None  # (m,)
-    friction_force: Array | None  # (m, d-1)
-    tie_force: Vector | None  # (k,)
     compression: str = "positive"  # the sign that its normal forces came with
     pressure_area: Vector | None = None  # (m,) what they were multiplied by
     notes: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from contactqp.linalg.exact_algebra import Polyhedron, rank, solutions
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_only
+from contactqp.model.solution import AnswerOf
 
 Row = Mapping[int, Fraction]
 Rows = tuple[Row, ...]
@@ -151,13 +152,12 @@ class ExactProblem:
 
 
 @dataclass(frozen=True)
-class ExactAnswer:
-    """The answer as rational numbers: K u + E_N'l_N + E_T'l_T + A'nu = f, l_N positive in compression."""
+class ExactAnswer(AnswerOf[Numbers, tuple[Numbers, ...]]):
+    """The answer as rational numbers: K u + E_N'l_N + E_T'l_T + A'nu = f, l_N positive in compression.
 
-    displacement: Numbers  # (n,)
-    normal_force: Numbers  # (m,)
-    friction_force: tuple[Numbers, ...]  # (m, d-1), empty without friction
-    tie_force: Numbers  # (k,)
+    Friction forces are (m, d-1), and empty without friction.
+    """
+
     gap: Numbers  # (m,) g - E_N u
     slip: tuple[Numbers, ...]  # (m, d-1) E_T u - slip_origin, empty without friction
     contact_status: tuple[str, ...]  # (m,) of open, closed, grazing, stick, slip

@@ -30,7 +30,7 @@ from contactqp.model.coulomb import OPEN, STICK, all_combinations
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, AnswerOf
 from contactqp.solving.friction.enumeration import refuse_many
 
 # What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
@@ -118,13 +118,9 @@ SEVERAL = (
 
 
 @dataclass(frozen=True, eq=False)
-class ExactEquilibrium(ReadOnly):
+class ExactEquilibrium(AnswerOf[NDArray[Any], NDArray[Any]], ReadOnly):
     """One equilibrium in rational numbers: arrays of Fractions, signs and shapes of `contactqp.Solution`."""
 
-    displacement: NDArray[Any]  # (n,)
-    normal_force: NDArray[Any]  # (m,)
-    friction_force: NDArray[Any]  # (m, 1)
-    tie_force: NDArray[Any]  # (k,)
     gap: NDArray[Any]  # (m,)
     slip: NDArray[Any]  # (m, 1)
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"

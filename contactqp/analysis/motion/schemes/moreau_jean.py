@@ -76,7 +76,7 @@ class MoreauJean(Scheme):
         u *= h
         u += state.displacement
         forces = found.normal / h, found.friction / h, found.tie / h
-        return State(u, found.unknown, *forces, state.displacement)
+        return State(u, *forces, found.unknown, state.displacement)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         del before

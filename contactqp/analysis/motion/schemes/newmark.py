@@ -84,7 +84,7 @@ class Trapezoidal(Scheme):
         velocity = 2 / h * found.increment - state.velocity
         if self._any_massless:
             velocity[self._massless] = found.increment[self._massless] / h
-        return State(found.unknown, velocity, found.normal, found.friction, self._tie_share * found.tie, u)
+        return State(found.unknown, found.normal, found.friction, self._tie_share * found.tie, velocity, u)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         return (replace(super().answered(before, after)[0], tie=after.tie_force / self._tie_share),)
@@ -140,7 +140,7 @@ class ContactStabilised(Scheme):
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         predicted, found = answers
         v = state.velocity + 2 / self.body.step * (found.increment - predicted.increment)
-        return State(found.unknown, v, found.normal, found.friction, found.tie, state.displacement)
+        return State(found.unknown, found.normal, found.friction, found.tie, v, state.displacement)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """Return the results of both problems; the forces of the projection are not kept."""

@@ -66,14 +66,7 @@ class ExplicitPenalty(_Central):
 
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         ended = super().accept(state, answers)
-        return State(
-            ended.displacement,
-            ended.velocity,
-            self._springs(ended.displacement),
-            ended.friction_force,
-            ended.tie_force,
-            ended.before,
-        )
+        return replace(ended, normal_force=self._springs(ended.displacement))
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)

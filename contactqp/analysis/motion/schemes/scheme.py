@@ -25,6 +25,7 @@ from contactqp.errors import Unsupported
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.solution import AnswerOf
 from contactqp.solving.solve import solve
 
 Block = Array  # one row a step
@@ -35,14 +36,14 @@ RESTING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class State(ReadOnly):
-    """A motion at the end of a step, as far as the next step depends on it."""
+class State(AnswerOf[Vector, Vector], ReadOnly):
+    """A motion at the end of a step, as far as the next step depends on it.
 
-    displacement: Vector  # u (n,)
+    Forces are those of the step that ended, impulses over h where the scheme has impulses; those of friction are flat,
+    ((d-1) m,), and none without friction.
+    """
+
     velocity: Vector  # v (n,); of two-step schemes (u - before) / h, half a step earlier
-    normal_force: Vector  # l_N (m,) of the step that ended, an impulse over h where the scheme has impulses
-    friction_force: Vector  # l_T ((d-1) m,), none without friction
-    tie_force: Vector  # nu (k,)
     before: Vector  # u one step earlier
 
 
@@ -80,7 +81,7 @@ class Body(ReadOnly):
         """Return a state without forces."""
         problem = self.problem
         forces = np.zeros(problem.contacts), np.zeros(self.tangent.shape[0]), np.zeros(problem.ties)
-        return State(displacement, velocity, *forces, before)
+        return State(displacement, *forces, velocity, before)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the acceleration, normal forces (m,) and friction ((d-1) m,) of bodies that rest on each other at
@@ -190,7 +191,7 @@ class Scheme(ABC):
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
         """Return the state at the end of the step: by default the last problem's, with v+ = (u+ - u) / h."""
         found, u = answers[-1], state.displacement
-        return State(found.unknown, found.increment / self.body.step, found.normal, found.friction, found.tie, u)
+        return State(found.unknown, found.normal, found.friction, found.tie, found.increment / self.body.step, u)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """Return the results that led from one state to the next: what `accept` was given, from what it made of it."""
