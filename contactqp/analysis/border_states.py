@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from contactqp.linalg.friction_states import friction_bound, refined_in
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
 from contactqp.model.arrays import Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -106,9 +105,7 @@ def decided(
     if isinstance(following, Decided) or 4.0 ** len(near) > MOST_COMBINATIONS:
         return following if isinstance(following, Decided) else None
     choices = (OPEN, STICK, SLIP_ON, SLIP_BACK) if problem.frictional else (OPEN, SLIP_ON)
-    for chosen in product(choices, repeat=len(near)):
-        at = status.copy()
-        at[near] = chosen
+    for at in combinations_at(near, [choices] * len(near), status):
         found = look(at)
         if isinstance(found, Decided):
             return found

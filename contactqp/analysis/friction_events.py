@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 from math import prod
 
 import numpy as np
@@ -34,7 +33,7 @@ from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, plane_states
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at, plane_states
 from contactqp.model.names import NAMES_IN_A_MESSAGE
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -289,7 +288,7 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
             raise NotConverged(f"follow_path: {at}: no continuation was found for {len(choices)} undecided contacts")
     found: list[CombinationAnswer] = []
     nearest = np.inf
-    for status in _combinations(standing, choices):
+    for status in combinations_at(standing.undecided, choices, standing.status):
         answer = system.solve(status, rates)
         nearest = min(nearest, _failing(system, rates, standing, answer))
         alike = [other for other in found if _same(system, standing, answer, other, rates)]
@@ -323,13 +322,6 @@ def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
         else:
             choices.append(plane_states(system.coefficient[i]))
     return choices
-
-
-def _combinations(standing: Standing, choices: list[tuple[int, ...]]) -> Iterator[Status]:
-    for chosen in product(*choices):
-        status = standing.status.copy()
-        status[standing.undecided] = chosen
-        yield status
 
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:

@@ -16,6 +16,7 @@ from contactqp.errors import InvalidProblem, counted, counts
 from contactqp.linalg.condensation import condense
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Indices, Mask, Vector, computes
+from contactqp.model.coulomb import STATUS_WORDS
 from contactqp.model.names import Units, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
@@ -161,8 +162,8 @@ def _rows(instant: int, time: float, solution: Solution) -> Iterator[ContactRow]
         yield ContactRow(instant, time, name, str(status), normal[i], tuple(friction[i]), gap[i])
 
 
-# The words of `Solution.contact_status`, in the order of their numbers here.
-STATUS = ("open", "closed", "grazing", "stick", "slip", "unknown")
+# The words of `Solution.contact_status`, in the order of their numbers here, and that of a case that failed.
+STATUS = (*STATUS_WORDS, "unknown")
 # Contacts of an envelope that are printed, and cases that failed.
 PRINTED = 20
 # Numbers that are looked at for NaN at once.

@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 
@@ -63,7 +62,7 @@ from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, 
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
 from contactqp.model.arrays import Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
@@ -401,9 +400,7 @@ class Linearised:
         if np.prod([float(len(one)) for one in choices]) > MOST_COMBINATIONS:
             raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
         holding: list[Rates] = []
-        for chosen in product(*choices):
-            status = self.status.copy()
-            status[self.undecided] = chosen
+        for status in combinations_at(self.undecided, choices, self.status):
             begins = self.borders.free[status[self.borders.free] == SLIP_ON]
             turned = self._turned(status, begins, direction)
             for system in turned if len(begins) else [self._system(status)]:

@@ -299,7 +299,7 @@ class CombinationSystem:
         return self.error(*self._looked_at(x))
 
     def _looked_at(self, x: Vector) -> tuple[Vector, Vector]:
-        """Return r and P_H M r at a displacement; that it is the last one is told by its identity, on all ranks alike."""
+        """Return r and P_H M r at a displacement; all ranks know the last one by its identity."""
         if self._last is None or self._last[0] is not x:
             unbalanced = self.unbalanced(x)
             self._last = x, unbalanced, self._along(unbalanced)

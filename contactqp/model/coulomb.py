@@ -47,6 +47,19 @@ def all_combinations(friction: Iterable[Any]) -> Iterator[tuple[int, ...]]:
     return product(*(plane_states(mu) for mu in friction))
 
 
+def combinations_at(contacts: Any, choices: Iterable[tuple[int, ...]], status: Status) -> Iterator[Status]:
+    """Yield states (m,) in which some contacts have each combination of their choices, and others those of `status`."""
+    for chosen in product(*choices):
+        combination = status.copy()
+        combination[contacts] = chosen
+        yield combination
+
+
+# What a solution says of its contacts: with friction they are open, grazing, stick or slip, without it the first three.
+# Tables of many cases and files of pictures number them in this order.
+STATUS_WORDS = ("open", "grazing", "closed", "stick", "slip")
+
+
 def status_names(status: Status) -> NDArray[np.str_]:
     """Return the names "open", "stick" and "slip" of states (m,)."""
     return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")

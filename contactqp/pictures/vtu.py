@@ -28,10 +28,11 @@ from numpy.typing import NDArray
 from contactqp.elements.mesh_files import MESHIO_KINDS
 from contactqp.exchange.files import VTU, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array, Index
+from contactqp.model.coulomb import STATUS_WORDS
 from contactqp.pictures.contact_fields import ContactFields
 from contactqp.pictures.frame_drawing import FrameFields
 
-STATUS = {"none": -1, "open": 0, "grazing": 1, "closed": 2, "stick": 3, "slip": 4, "held": 5}
+STATUS = {word: code for code, word in enumerate(("none", *STATUS_WORDS, "held"), start=-1)}
 STATUS_FIELD = f"contact_status ({', '.join(f'{code} {name}' for name, code in STATUS.items())})"
 _CELLS = {kind: name for name, kind in MESHIO_KINDS.items()}
 

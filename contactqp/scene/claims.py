@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
+from contactqp.model.coulomb import STATUS_WORDS
 from contactqp.scene import fields
 from contactqp.scene.blocks import element_quantities
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.fields import Block, KnobStiffness, Name, Number, no_such
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
 
-STATUSES = ("open", "closed", "grazing", "stick", "slip")
 ONE_ANSWER = "one answer"
 
 
@@ -55,7 +55,7 @@ QUANTITIES = {
     "total normal force": Measure("sum of the normal forces of all contacts", ("force",)),
     "gap": Measure("gap of a contact, positive when open", ("length",), at="contact"),
     "status": Measure(
-        "open, closed or grazing; with friction open, stick, slip or grazing", words=STATUSES, at="contact"
+        "open, closed or grazing; with friction open, stick, slip or grazing", words=STATUS_WORDS, at="contact"
     ),
     "uniqueness": Measure(
         "what the certificate says of other answers under the same load, with friction",
