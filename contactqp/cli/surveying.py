@@ -103,11 +103,13 @@ def _print_case(case: ShippedCase) -> None:
 )
 def init_command(file: str, like: str | None) -> None:
     """Write a first case with comments to FILE, case.toml by default; a file that is there stays as it is."""
+    from contactqp.scene.judging import refuse_undecodable
     from contactqp.scene.shipped import first_case, shipped_case
 
     path = Path(file)
     if path.suffix != ".toml":
         raise InvalidProblem(f"{file}: expected a name that ends in .toml")
+    refuse_undecodable(file)  # the case says how it is run, by its name
     text = first_case(file) if like is None else shipped_case(like).file.read_text(encoding="utf-8")
     try:
         with path.open("x", encoding="utf-8") as new:

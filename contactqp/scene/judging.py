@@ -434,7 +434,17 @@ def case_files(arguments: Iterable[str]) -> list[str]:
         if not found:
             raise SceneError(f"{argument}: expected case files (*.toml) in this folder, got none")
         files += found
+    refuse_undecodable(*files)
     return files
+
+
+def refuse_undecodable(*files: str) -> None:
+    """Raise SceneError where the name of a file is not UTF-8: reports and cases are, and name it."""
+    for file in files:
+        try:
+            file.encode("utf-8")
+        except UnicodeEncodeError:
+            raise SceneError(f"{file!a}: expected a file whose name is UTF-8, rename it") from None
 
 
 def read_knobs(

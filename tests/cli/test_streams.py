@@ -115,3 +115,20 @@ def test_processes_side_by_side_have_ended_when_the_command_has(capsys: pytest.C
     for _ in range(2):
         assert run(capsys, "run", CASES / "bar_wall.toml", CASES / "two_bars.toml", "--jobs", "2")[0] == 0
         assert not [thread.name for thread in threading.enumerate() if "Executor" in type(thread).__name__]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+@pytest.mark.parametrize("command", ["report", "run", "explain", "init"])
+def test_a_name_that_is_no_text_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str
+) -> None:
+    """Names are bytes: one of another encoding ended report and init in the midst of what they write."""
+    monkeypatch.chdir(tmp_path)
+    name = "Stoss\udcff.toml"
+    if command != "init":
+        Path(name).write_bytes(Path(WALL).read_bytes())
+    code, _, err = run(capsys, command, name)
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert "udcff" in err
+    assert [one.name for one in tmp_path.iterdir()] == ([] if command == "init" else [name])
