@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 import sys
@@ -20,7 +21,6 @@ from pydantic.fields import FieldInfo
 
 from contactqp.analysis.history import History
 from contactqp.errors import InvalidProblem, SceneError, Unsupported, shown
-from contactqp.exchange.files import UTF_16
 from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arguments import checked, is_readable
 from contactqp.model.arrays import READ, STEPS, own_floating_point, stage
@@ -176,7 +176,7 @@ def _text(file: Path) -> str:
 
 
 def _decoded(data: bytes) -> str:
-    if data.startswith(UTF_16):
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise SceneError("expected text in UTF-8, got UTF-16: save it as UTF-8")
     try:
         return data.decode("utf-8")
