@@ -70,6 +70,8 @@ BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter
 # From so many constraints on their overlap is sought by Clarabel before a linear program seeks it, in so many programs,
 # each from the displacement of the one before; it cannot tell an overlap of less than its tolerance.
 MANY_ROWS, OVERLAPS, OVERLAPPING = 10_000, 3, 1e-9
+# What backends say of constraints that they find in conflict, and of energies that they find unbounded.
+INFEASIBLE = "nfeasible"
 # QPALM may end the process (a segmentation fault) where its factors break down, as of a floating chain at 1e10 N/m:
 # it is shown the equilibrated problem, and is not asked again for one that condensed systems have lost.
 ENDS_PROCESSES = ("qpalm",)
@@ -267,6 +269,9 @@ class SparseRun(Run):
             self._settle(self.candidate)
             if self._state is None and not self._settings.max_iter:
                 self._ask_again()
+                if self._state is None and not self.candidate.claimed and INFEASIBLE not in self.candidate.status:
+                    self._effort.wasted = WASTED  # there is no other answer to ask for: all is made of this one
+                    self._settle(self.candidate)
         except NotConverged:
             if not time_is_up():
                 raise

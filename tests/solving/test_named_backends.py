@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -12,8 +14,11 @@ from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.least_norm import presses
 from contactqp.linalg.schur import uncoupled
 from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, solved_on
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import sparse_run
+from contactqp.solving.methods import Settings, find
+from contactqp.solving.sparse_run import SparseRun
+from tests.solving.test_many_rows import nearest_with_differences
 
 
 def degenerate(
@@ -182,3 +187,17 @@ def test_forces_that_are_unique_are_not_shared_anew_however_large_they_are(monke
     assert solution.certificate.proven
     assert pressed == [True]
     assert np.sum(solution.normal_force > 0) > 100
+
+
+def test_all_is_made_of_the_answer_of_a_backend_that_stopped_early() -> None:
+    """Its guess of the closed contacts leads nowhere; Newton's steps along the central path from it lead on."""
+    problem, _ = nearest_with_differences(400, 2, 0.7)
+    clarabel = find("clarabel")
+
+    def stopped(shown: cq.ContactProblem, settings: Settings) -> Candidate:
+        found = clarabel.solve(shown, replace(settings, tolerance=1e-2))
+        return replace(found, claimed=False, status="clarabel: AlmostSolved")
+
+    solution = SparseRun(problem, replace(clarabel, solve=stopped), Settings()).finish()
+    assert solution.certificate.proven
+    assert solution.displacement == pytest.approx(cq.solve(problem).displacement, abs=1e-12)
