@@ -36,8 +36,9 @@ from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS
 from contactqp.certificate.frictional_bounds import local_bounds
 from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
-from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.delassus import velocity_of
 from contactqp.linalg.measures import directions, lengths
+from contactqp.linalg.runtime import lapack
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -48,6 +49,9 @@ from contactqp.model.solution import LocalCertificate
 
 # Operators further from symmetric than this, the tolerance of the verdict, are said to be.
 ASYMMETRIC_BY_ROUNDING = 1e-9
+
+# Rows whose matrix has a larger reciprocal condition, which is estimated to a factor of some ten, are independent.
+SURELY_INDEPENDENT = 1e-6
 
 _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
 
@@ -115,6 +119,9 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
     scaled = matrix / np.outer(size, size)
     if not np.all(np.isfinite(scaled)):
         return False  # forces beyond the floats, along which nothing can be said
+    factor, _, failed = lapack().dgetrf(scaled)
+    if not failed and lapack().dgecon(factor, np.linalg.norm(scaled, 1))[0] > SURELY_INDEPENDENT:
+        return False
     values = np.linalg.svd(scaled, compute_uv=False)
     return bool(values[-1] <= DEPENDENT_CONTACTS * values[0])
 
@@ -147,7 +154,10 @@ def siconos_local_error(problem: LocalProblem, force: ArrayLike, joint_force: Ar
     >>> siconos_local_error(one, [0.0, 0.0])  # n = (-12, 6)/5, |q| = 5
     0.5366563145999496
     """
-    r, residual, velocity = _local(problem, force, joint_force)
+    return _siconos_error(problem, *_local(problem, force, joint_force))
+
+
+def _siconos_error(problem: LocalProblem, r: Array, residual: float, velocity: Array) -> float:
     scale = max(float(np.linalg.norm(part)) for part in (problem.offset, r, velocity))
     return residual / scale if scale > LEAST_LOCAL_SCALE else residual
 
@@ -237,8 +247,8 @@ def _scaled(error: Any, *scales: Any) -> float:
 
 def _local(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, float, Array]:
     """Return r, |n| and u of the local form."""
-    r = _shaped("force", force, (problem.contacts, problem.dimension))
-    velocity = velocity_of(problem, r, _joints(problem, joint_force))
+    r, joint = _read(problem, force, joint_force)
+    velocity = velocity_of(problem, r, joint)
     return r, float(np.linalg.norm(natural_map(r, velocity, problem.friction))), velocity
 
 
@@ -292,21 +302,31 @@ def certify_local(
     >>> found.passed, found.scope, bool(found.force_bound[0] < 1e-12)
     (True, 'global', True)
     """
-    certificate = judged(problem, force, joint_force, tolerance)
-    r, joint = _read(problem, force, joint_force)
-    if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
-        return certificate
-    closed, stuck, along = _Measured(problem, r, joint).state(tolerance)
-    others = _local_uniqueness(problem, closed, stuck, along)
-    certified = replace(certificate, uniqueness=others.findings, notes=others.notes)
+    certified = with_uniqueness(problem, force, joint_force, tolerance)
     if not certified.passed:
         return certified
-    found = local_bounds(problem, r, _status(problem, closed, stuck, along))
+    r, joint = _read(problem, force, joint_force)
+    found = local_bounds(problem, r, _status(problem, *_Measured(problem, r, joint).state(tolerance)))
     if isinstance(found, str):
         return replace(certified, reasons=(f"force_error, force_bound: {found}",))
     return replace(
         certified, force_error=found.force_error, force_bound=found.force_bound, scope=found.scope, radius=found.radius
     )
+
+
+def with_uniqueness(
+    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
+) -> LocalCertificate:
+    """Return `certify_local` without bounds, which may cost more than the forces.
+
+    Parameters
+    ----------
+    problem, force, joint_force, tolerance : as in `certify_local`
+    """
+    if (measured := _measured(problem, force, joint_force, tolerance)) is None:
+        return _not_finite(problem, tolerance)
+    others = _local_uniqueness(problem, *measured.state(tolerance))
+    return replace(measured.verdict(tolerance), uniqueness=others.findings, notes=others.notes)
 
 
 def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Status:
@@ -325,32 +345,19 @@ def judged(
     ----------
     problem, force, joint_force, tolerance : as in `certify_local`
     """
+    measured = _measured(problem, force, joint_force, tolerance)
+    return _not_finite(problem, tolerance) if measured is None else measured.verdict(tolerance)
+
+
+def _measured(
+    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
+) -> _Measured | None:
+    """Return the figures of forces, None where one is not finite; raise where a tolerance is none."""
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {shown(tolerance)}")
     r, joint = _read(problem, force, joint_force)
-    if not np.all(np.isfinite(r)) or not np.all(np.isfinite(joint)):
-        return _not_finite(problem, tolerance)
-    measured = _Measured(problem, r, joint)
-    figures: dict[str, Any] = {name: float(np.max(getattr(measured, name), initial=0.0)) for name in FIGURES}
-    errors: dict[str, Any] = {
-        "natural_map": scaled_natural_map(problem, r, joint),
-        "siconos_error": siconos_local_error(problem, r, joint),
-    }
-    failures = [measured.failure(name, tolerance) for name in FIGURES if not figures[name] <= tolerance]
-    if not errors["natural_map"] <= tolerance:  # NaN, where forces leave the doubles
-        failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
-    return LocalCertificate(
-        **errors,
-        **figures,
-        failures=tuple(failures),
-        uniqueness=(),
-        notes=(),
-        tolerance=tolerance,
-        passed=not failures,
-        slip_measure=measured.slip,
-        force_measure=measured.push,
-    )
+    return _Measured(problem, r, joint) if np.all(np.isfinite(r)) and np.all(np.isfinite(joint)) else None
 
 
 def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> dict[str, Vector]:
@@ -366,13 +373,16 @@ def scaled_natural_map(problem: LocalProblem, force: Array, joint_force: Vector)
     `contact_scale`: no contact's own unit changes them. With no offset and no load at all it is relative to the
     velocities that meet.
     """
-    scale, shape = problem.contact_scale[:, None], (problem.contacts, problem.dimension)
-    velocity = scale * velocity_of(problem, force, joint_force)
-    missed = distance_from_law(force / scale, velocity, problem.friction)
-    drive = (scale * problem.offset.reshape(shape), problem.bilateral_offset * problem.joint_scale)
+    met = _meeting(problem, force, joint_force).reshape(force.shape)
+    return _natural_map(problem, force, velocity_of(problem, force, joint_force), met)
+
+
+def _natural_map(problem: LocalProblem, force: Array, velocity: Array, met: Array) -> float:
+    scale = problem.contact_scale[:, None]
+    missed = distance_from_law(force / scale, scale * velocity, problem.friction)
+    drive = (scale * problem.offset.reshape(force.shape), problem.bilateral_offset * problem.joint_scale)
     size = max(float(np.max(abs(part), initial=0.0)) for part in drive)
-    size = size or float(np.max(scale * _meeting(problem, force, joint_force).reshape(shape), initial=0.0)) or 1.0
-    return float(np.max(missed / size, initial=0.0))
+    return float(np.max(missed / (size or float(np.max(scale * met, initial=0.0)) or 1.0), initial=0.0))
 
 
 def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:
@@ -393,11 +403,9 @@ class _Measured:
     """Every figure for every contact or joint."""
 
     def __init__(self, problem: LocalProblem, r: Array, joint: Vector) -> None:
-        self._problem = problem
-        shape = (problem.contacts, problem.dimension)
         u = velocity_of(problem, r, joint)
-        self._velocity = u
-        met = _meeting(problem, r, joint).reshape(shape)
+        self._problem, self._force, self._velocity = problem, r, u
+        self._met = met = _meeting(problem, r, joint).reshape(r.shape)
         self._along, self._across = met[:, 0], np.max(met[:, 1:], axis=1, initial=0.0)
         self._nothing = NOTHING * _size(problem, met)
         self._own = problem.own_compliances
@@ -434,6 +442,20 @@ class _Measured:
         heard = own > NOTHING * any_own
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
+    def verdict(self, tolerance: float) -> LocalCertificate:
+        """Return the certificate with these figures, which says nothing of other answers."""
+        r, u = self._force, self._velocity
+        residual = float(np.linalg.norm(natural_map(r, u, self._problem.friction)))
+        figures: dict[str, Any] = {name: float(np.max(getattr(self, name), initial=0.0)) for name in FIGURES}
+        errors = {
+            "natural_map": _natural_map(self._problem, r, u, self._met),
+            "siconos_error": _siconos_error(self._problem, r, residual, u),
+        }
+        failures = [self.failure(name, tolerance) for name in FIGURES if not figures[name] <= tolerance]
+        if not errors["natural_map"] <= tolerance:  # NaN, where forces leave the doubles
+            failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
+        return _certificate({**errors, **figures}, tuple(failures), tolerance, self.slip, self.push)
+
     def state(self, tolerance: float) -> tuple[Mask, Mask, Array]:
         """Return which contacts are closed and which stick, (m,) each, and along what the slipping ones push (m, d)."""
         closed = (self.push > tolerance) | (self.gap <= tolerance)
@@ -454,39 +476,24 @@ def _part(size: Vector, whole: Vector) -> Vector:
 
 
 def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, Vector]:
-    shape = (problem.contacts, problem.dimension)
-    r = read_array("force", force)
-    joint = read_array("joint_force", [] if joint_force is None else joint_force)
-    if r.shape not in (shape, (r.size,)) or r.size != shape[0] * shape[1]:
-        raise InvalidProblem(f"force: expected shape {shape}, got {r.shape}")
-    if joint.shape != (problem.joints,):
-        raise InvalidProblem(f"joint_force: expected shape ({problem.joints},), got {joint.shape}")
-    return r.reshape(shape), joint
+    return _shaped("force", force, (problem.contacts, problem.dimension)), _joints(problem, joint_force)
 
 
 def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
-    infinite, none = float("inf"), np.zeros(problem.contacts)
-    figures: dict[str, Any] = dict.fromkeys(FIGURES, infinite)
+    none, figures = np.zeros(problem.contacts), dict.fromkeys(("natural_map", "siconos_error", *FIGURES), float("inf"))
+    return _certificate(figures, ("force: it is not finite",), tolerance, none, none)
+
+
+def _certificate(
+    figures: dict[str, Any], failures: tuple[str, ...], tolerance: float, slip: Vector, push: Vector
+) -> LocalCertificate:
     return LocalCertificate(
-        natural_map=infinite,
-        siconos_error=infinite,
         **figures,
-        failures=("force: it is not finite",),
+        failures=failures,
         uniqueness=(),
         notes=(),
         tolerance=tolerance,
-        passed=False,
-        slip_measure=none,
-        force_measure=none,
+        passed=not failures,
+        slip_measure=slip,
+        force_measure=push,
     )
-
-
-def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
-    """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
-
-    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
-    """
-    u = SparseRows(problem.delassus) @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
-    if joint_force is not None and problem.joints:
-        u = u + SparseRows(problem.bilateral) @ extend(joint_force)
-    return np.asarray(u.double().reshape(problem.contacts, problem.dimension))

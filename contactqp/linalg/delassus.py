@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -159,6 +160,22 @@ def _regular_inverse(J: Array, ties: int) -> Array | None:
 def _lengths(rows: Array) -> Array:
     length = np.linalg.norm(rows, axis=1)
     return np.where(length > 0, length, 1.0)
+
+
+_in_extended_precision: WeakKeyDictionary[LocalProblem, SparseRows] = WeakKeyDictionary()
+
+
+def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
+    """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
+
+    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+    """
+    if problem not in _in_extended_precision:
+        _in_extended_precision[problem] = SparseRows(problem.delassus)
+    u = _in_extended_precision[problem] @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
+    if joint_force is not None and problem.joints:
+        u = u + SparseRows(problem.bilateral) @ extend(joint_force)
+    return np.asarray(u.double().reshape(problem.contacts, problem.dimension))
 
 
 @dataclass(frozen=True, eq=False)

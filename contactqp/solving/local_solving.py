@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.local_certificate import certify_local, judged, velocity_of
+from contactqp.certificate.local_certificate import judged, with_uniqueness
 from contactqp.errors import (
     InvalidProblem,
     NoEquilibrium,
@@ -24,6 +24,7 @@ from contactqp.errors import (
     Unsupported,
     shown,
 )
+from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import (
     THREADS_PAY,
     Vector,
@@ -125,8 +126,7 @@ def _solved(
         start = Iterate.at(form, form.scaled(warm_start.force), form.joint_force(form.scaled(warm_start.force)))
 
     def accepted(iterate: Iterate) -> bool:
-        size = max(1.0, float(np.max(abs(iterate.force), initial=0.0)))
-        if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * size:
+        if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * iterate.size:
             return False
         return judged(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
 
@@ -206,7 +206,7 @@ def _solution(
 ) -> LocalSolution:
     iterate = outcome.iterate
     force, joint = form.unscaled(iterate.force, iterate.joint_force)
-    certificate = certify_local(problem, force, joint, tolerance=tolerance)
+    certificate = with_uniqueness(problem, force, joint, tolerance)
     return LocalSolution(
         problem=problem,
         force=force,

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contactqp.certificate.local_certificate import certify_local, contact_figures, velocity_of
+from contactqp.certificate.local_certificate import certify_local, contact_figures
 from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, counts
 from contactqp.exchange.answer_files import read_answer, read_candidate_forces
 from contactqp.exchange.answer_reader import AnswerFile, names_of
@@ -21,6 +21,7 @@ from contactqp.exchange.fclib import StoredAnswer
 from contactqp.exchange.files import Ledger, naming, wrong
 from contactqp.exchange.local_form import SingularMatrix, local_form_of
 from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, read_problem_with_ledger
+from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem

@@ -7,8 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate.local_certificate import velocity_of
 from contactqp.exchange.local_form import SingularMatrix, body_motion
+from contactqp.linalg.delassus import velocity_of
 from tests.exchange.files import MU, OFFSET, B, F, G, H, M
 
 

@@ -14,7 +14,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate.local_certificate import velocity_of
+from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import own_floating_point
 from tests.blocks_in_space import on_paraboloid
 from tests.examples import truss

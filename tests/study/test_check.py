@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.local_certificate import velocity_of
+from contactqp.linalg.delassus import velocity_of
 from contactqp.study.checking import check_forces
 from contactqp.study.verdict import CheckOptions
 from tests.cli.test_cli import CASES, run

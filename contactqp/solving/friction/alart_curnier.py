@@ -34,8 +34,10 @@ from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalFor
 REGULARISATION = (1e-6, 1e-12, 1e2)
 # Step lengths that are tried before the regularisation grows.
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
-# A residual that is rounding.
-ROUNDING_OF_MAP = 1e-15
+# By so much the regularisation grows; by the second where it has made no difference to a step, to this part.
+GROWTH_OF_REGULARISATION, LEAP, ALIKE = 30.0, 1e3, 1e-3
+# A residual that is rounding; one that is this part of the forces falls no further where a step does not lower it.
+ROUNDING_OF_MAP, ROUNDED = 1e-15, 32 * float(np.finfo(float).eps)
 
 
 def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING_OF_MAP) -> Iterate:
@@ -51,20 +53,22 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
         The error, in the scale of the form, at which it is done.
     """
     best, regularisation = start, REGULARISATION[0]
-    history = [start.error]
+    history, missed = [start.error], None
     for _ in range(max_iter):
         if best.error <= target or time_is_up():
             break
         found = _step(form, best, regularisation)
         if found is None or found.error >= 0.999 * best.error:
             # Near the rounding of the answer nothing falls any more.
-            if regularisation >= REGULARISATION[2]:
+            if regularisation >= REGULARISATION[2] or best.error <= ROUNDED * best.size:
                 break
-            regularisation = 30.0 * regularisation
+            alike = found is not None and missed is not None and abs(found.error - missed) <= ALIKE * missed
+            missed = None if found is None else found.error
+            regularisation *= LEAP if alike else GROWTH_OF_REGULARISATION
             if found is None or found.error >= best.error:
                 continue
         else:
-            regularisation = max(0.1 * regularisation, REGULARISATION[1])
+            regularisation, missed = max(0.1 * regularisation, REGULARISATION[1]), None
         best = found
         history.append(best.error)
     return Iterate(best.force, best.joint_force, best.error, len(history) - 1, tuple(history))

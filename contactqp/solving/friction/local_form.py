@@ -27,7 +27,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
 
 # Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
-DENSE_SIZE = 1200
+DENSE_SIZE = 150
 SPARSE_DENSITY = 0.05
 # Motions that no contact resists have no say in any force: this keeps their equations regular, unit columns of V by.
 JOINT_REGULARISATION = 1e-12
@@ -174,6 +174,11 @@ class Iterate:
     error: float  # of the natural map, `LocalForm.error`
     iterations: int = 0
     history: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> float:
+        """Return the largest force, or one where that is larger: velocities have a size of one."""
+        return max(1.0, float(np.max(abs(self.force), initial=0.0)))
 
     @classmethod
     def at(cls, form: LocalForm, force: Array, joint: Vector, iterations: int = 0) -> Iterate:
