@@ -338,13 +338,15 @@ class SlipsNearby:
     slides: Mask  # (m,) which contacts slip, with friction
     mu: Vector  # (q,)
     slip: Array  # A (q, d-1, p)
+    drive: Array  # B (q, d-1, p), A where the compliance is symmetric
     pushed: Array  # P (q, p)
     kappa: float  # of two answers with the same states
 
     @classmethod
     def none(cls, mu: Vector) -> SlipsNearby:
         """Return that of states in which no slip turns: a linear system, whose refinement has settled."""
-        return cls(np.zeros(len(mu), dtype=bool), mu[:0], np.zeros((0, 1, 0)), np.zeros((0, 0)), 0.0)
+        none = np.zeros((0, 1, 0))
+        return cls(np.zeros(len(mu), dtype=bool), mu[:0], none, none, np.zeros((0, 0)), 0.0)
 
     @property
     def widest(self) -> Vector:
@@ -354,9 +356,9 @@ class SlipsNearby:
     def settled(self, push: Vector, slip: Array, allowance: float, most: float) -> Settled | None:
         """Return a ball around slips s (q, d-1) with forces N (q,) in which one answer is at most, or None.
 
-        Coulomb's law is H(y) = y + sum A_i'(mu N t - l_T) = 0, N + P_i y for N, s + A_i y for s and t = s / |s|, with
+        Coulomb's law is H(y) = y + sum B_i'(mu N t - l_T) = 0, N + P_i y for N, s + A_i y for s and t = s / |s|, with
 
-            J = I + sum A_i'(mu t P_i + mu N / |s| (I - t t') A_i).
+            J = I + sum B_i'(mu t P_i + mu N / |s| (I - t t') A_i).
 
         In |y| <= r slips turn by no more than |A_i| r / (|s| - |A_i| r), and what J changes by then is bounded term by
         term; where that is |I - J^-1 J(y)| <= q < 1, y - J^-1 H(y) contracts (L. V. Kantorovich, 1948): one y at most
@@ -374,8 +376,8 @@ class SlipsNearby:
             return None
         t = slip / size[:, None]
         across = np.eye(t.shape[1]) - t[:, :, None] * t[:, None, :]
-        J = np.eye(self.pushed.shape[1]) + np.einsum("iwp,iw,iq->pq", self.slip, self.mu[:, None] * t, self.pushed)
-        J += np.einsum("i,iwp,iwv,ivq->pq", self.mu * push / size, self.slip, across, self.slip, optimize=True)
+        J = np.eye(self.pushed.shape[1]) + np.einsum("iwp,iw,iq->pq", self.drive, self.mu[:, None] * t, self.pushed)
+        J += np.einsum("i,iwp,iwv,ivq->pq", self.mu * push / size, self.drive, across, self.slip, optimize=True)
         try:
             inverse = np.linalg.inv(J)
         except np.linalg.LinAlgError:
@@ -384,7 +386,7 @@ class SlipsNearby:
         if not norms[0] <= MOST_GROWTH:
             return None
         given = 2 * norms[0] * norms[1] * (allowance + len(J) * float(np.finfo(float).eps))
-        spread = np.linalg.norm(inverse @ self.slip.swapaxes(1, 2), ord=2, axis=(1, 2))
+        spread = np.linalg.norm(inverse @ self.drive.swapaxes(1, 2), ord=2, axis=(1, 2))
         radius = min(most, 0.5 * float(np.min(np.divide(size, wide, out=np.full_like(size, np.inf), where=wide > 0))))
         for _ in range(HALVINGS):
             least = size - wide * radius
@@ -397,12 +399,22 @@ class SlipsNearby:
         return None
 
 
-def slips_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> SlipsNearby | None:
+def slips_nearby(
+    compliance: ContactOperators, status: Status, mu: Vector, skew: Array | None = None
+) -> SlipsNearby | None:
     """Return the slips of contacts that stay in their states, and kappa of two such answers; None where W is singular.
 
     Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
     slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
     of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
+    With L L' the symmetric part of S, y = L'S^-1 e has that length, B = L and A = S L'^-1; where S is not symmetric,
+    turning slips may drive themselves, and kappa is infinite.
+
+    Parameters
+    ----------
+    compliance : the operators, in whose norm forces are measured
+    status, mu : states and coefficients (m,)
+    skew : W (d m, d m) where it is not symmetric, of bodies of which none floats
     """
     m, d = len(mu), len(compliance.W) // len(mu)
     closed, slides = status != OPEN, (abs(status) == 1) & (mu > 0)
@@ -415,7 +427,8 @@ def slips_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> Sl
     sticks = acting & (status == STICK)[:, None]
     kept = np.concatenate([place[closed, 0], place[:, 1:][sticks[:, 1:]]])
     along = place[slides, 1:].ravel()
-    whole = compliance.operator(np.concatenate([kept, along]), len(compliance.J))
+    acted = np.concatenate([kept, along])
+    whole = compliance.operator(acted, len(compliance.J)) if skew is None else skew[np.ix_(acted, acted)]
     order = np.arange(len(whole))
     slips = (order >= len(kept)) & (order < len(kept) + len(along))
     try:
@@ -426,62 +439,29 @@ def slips_nearby(compliance: ContactOperators, status: Status, mu: Vector) -> Sl
     except np.linalg.LinAlgError:
         return None
     pushed = np.linalg.solve(factor, drawn[np.searchsorted(place[closed, 0], place[slides, 0])].T).T
-    slip: Array = np.asarray(factor, dtype=float).reshape(len(pushed), d - 1, -1)
-    sizes = np.linalg.norm(slip, axis=(1, 2)), np.linalg.norm(pushed, axis=1)
-    weight = np.divide(*sizes, out=np.ones(len(pushed)), where=sizes[1] > 0)
+    drive: Array = np.asarray(factor, dtype=float).reshape(len(pushed), d - 1, -1)
+    slip = drive if skew is None else np.linalg.solve(factor, S.T).T.reshape(drive.shape)
     own = mu[slides]
-    square = pushed.T @ ((own * weight)[:, None] * pushed)
-    square = square + np.einsum("i,iwp,iwq->pq", own / weight, slip, slip)
-    if not np.all(np.isfinite(square)):
+    if not (np.all(np.isfinite(pushed)) and np.all(np.isfinite(slip))):
         return None
-    return SlipsNearby(slides, own, slip, pushed, float(np.max(np.linalg.eigvalsh(square), initial=0.0)) / 2)
+    kappa = coupling(pushed, slip, own) if skew is None else np.inf
+    return SlipsNearby(slides, own, slip, drive, pushed, kappa)
 
 
-@dataclass(frozen=True, eq=False)
-class Eliminated:
-    """The compliance W' of some contacts, all others keeping their states: forces d on them make T d on all rows."""
+def coupling(force: Array, slip: Array, mu: Vector) -> float:
+    """Return the largest 1/2 sum mu_i (c_i d_N,i^2 + |e_i|^2 / c_i), c_i > 0, over vectors y of length one.
 
-    W: Array  # (d q, d q), not symmetric where others slip in the plane
-    whole: Array  # T (d m, d q)
-    energy: Array  # T'W T
-    response: Array  # (d q, p) of these rows to a unit of each force that was eliminated
-    inverse: Array  # |M^-1| (p, p) of those forces, by what their rows miss
-    own: Array  # |P'W P| (p, p)
-    held: Indices  # (p,) the rows that keep their length
-    forces: Array  # P (d m, p): what a unit of each eliminated force is on all rows
-    growth: float  # |M| |M^-1|, by which rounding of W grows
-
-
-def eliminated(compliance: ContactOperators, status: Status, mu: Vector, law: Mask) -> Eliminated | None:
-    """Eliminate the closed contacts but those of `law` (m,): they keep their gap, and slip where they stick.
-
-    In the plane one that slips has l_T = mu l_N s. None where that system has no inverse, or where some friction of
-    `law` moves nothing.
+    That is at least the largest sum mu_i |d_N,i| |e_i|.
 
     Parameters
     ----------
-    compliance : ContactOperators of bodies of which none floats
-    status, mu : (m,) states and coefficients
-    law : (m,) bool, the contacts that remain, all that slip in space among them
+    force, slip : what a unit of each component of y makes of normal forces d_N (m, p) and slips e (m, d-1, p)
+    mu : coefficients of friction (m,)
     """
-    m, d, n = len(mu), len(compliance.W) // len(mu), len(compliance.W)
-    place, W, felt = np.arange(n).reshape(m, d), compliance.W, felt_rows(compliance)
-    if not felt[law].all():
-        return None
-    closed = (status != OPEN) & ~law
-    sticks = felt[:, 1:] & (closed & (status == STICK) & (mu > 0))[:, None]
-    held = np.concatenate([place[closed, 0], place[:, 1:][sticks]])
-    P = np.zeros((n, len(held)))
-    P[held, np.arange(len(held))] = 1.0
-    slides = np.flatnonzero(closed & (abs(status) == 1) & (mu > 0))
-    P[place[slides, 1], np.searchsorted(np.flatnonzero(closed), slides)] = (mu * status)[slides]
-    kept, M = place[law].ravel(), W[held] @ P
-    try:
-        inverse = np.linalg.inv(M)
-    except np.linalg.LinAlgError:
-        return None
-    T = -P @ (inverse @ W[np.ix_(held, kept)])
-    T[kept, np.arange(len(kept))] += 1.0
-    response, own = W[kept] @ P, abs(P.T @ W @ P)
-    growth = float(np.linalg.norm(M, 1) * np.linalg.norm(inverse, 1)) if len(M) else 1.0
-    return Eliminated(W[kept] @ T, T, T.T @ W @ T, abs(response), abs(inverse), own, held, P, growth)
+    sizes = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=(1, 2))
+    coupled = (mu > 0) & (sizes[0] > 0) & (sizes[1] > 0)
+    if not coupled.any():
+        return 0.0
+    weight, mu, force, slip = sizes[1][coupled] / sizes[0][coupled], mu[coupled], force[coupled], slip[coupled]
+    square = force.T @ ((mu * weight)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / weight, slip, slip)
+    return float(np.linalg.eigvalsh(square)[-1]) / 2 if np.all(np.isfinite(square)) else np.inf

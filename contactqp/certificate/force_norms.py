@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.certificate.critical_friction import MOST_CONTACTS, felt_rows, inverse_of_lower, of_operator
+from contactqp.certificate.critical_friction import MOST_CONTACTS, coupling, felt_rows, inverse_of_lower, of_operator
 from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
 from contactqp.certificate.state_bodies import Compared
 from contactqp.linalg.condensation import Condensation
@@ -200,7 +200,7 @@ def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tu
 
 
 def norms_of_skew(
-    compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0
+    compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0, acting: Mask | None = None
 ) -> tuple[ForceNorms | None, float]:
     """Return the same of an operator W that is not symmetric, by its symmetric part H.
 
@@ -213,19 +213,70 @@ def norms_of_skew(
     compliance, W : H, with the scale of the contacts, and the operator (d m, d m)
     mu : coefficients of friction (m,)
     lost_digits : by which W is rounded
+    acting : the rows (m, d) on which forces act, all by default
     """
     m, d = len(mu), len(W) // len(mu)
-    norms = ForceNorms.of(compliance, lost_digits, np.ones((m, d), dtype=bool))
+    acting = np.ones((m, d), dtype=bool) if acting is None else acting
+    norms, rows = ForceNorms.of(compliance, lost_digits, acting), np.flatnonzero(acting)
     if norms is None:
         return None, np.inf
-    half = np.linalg.inv(np.linalg.cholesky(compliance.W))
-    felt, more = (W @ half.T).reshape(m, d, -1), 1 + norms.allowance
+    half, more = np.zeros((m * d, len(rows))), 1 + norms.allowance
+    half[rows] = inverse_of_lower(np.linalg.cholesky(compliance.W[np.ix_(rows, rows)])).T
+    felt = (W @ half).reshape(m, d, -1)
     own = felt @ felt.swapaxes(1, 2)
     gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:]))
-    weight = np.where(slip > 0, slip, 1.0) / norms.normal_force
-    pushed, slid = half.T.reshape(m, d, -1)[:, 0], felt[:, 1:].reshape(m * (d - 1), -1)
-    square = pushed.T @ ((mu * weight)[:, None] * pushed) + slid.T @ (np.repeat(mu / weight, d - 1)[:, None] * slid)
-    return replace(norms, gap=gap, slip=slip), more * float(np.linalg.eigvalsh(square)[-1]) / 2
+    kappa = more * coupling(half.reshape(m, d, -1)[:, 0], felt[:, 1:], mu)
+    return replace(norms, gap=gap, slip=slip), kappa
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """The compliance W' of some contacts, all others keeping their states: forces d on them make T d on all rows."""
+
+    W: Array  # (d q, d q), not symmetric where others slip in the plane
+    whole: Array  # T (d m, d q)
+    energy: Array  # T'W T
+    response: Array  # (d q, p) of these rows to a unit of each force that was eliminated
+    inverse: Array  # |M^-1| (p, p) of those forces, by what their rows miss
+    own: Array  # |P'W P| (p, p)
+    held: Indices  # (p,) the rows that keep their length
+    forces: Array  # P (d m, p): what a unit of each eliminated force is on all rows
+    growth: float  # |M| |M^-1|, by which rounding of W grows
+
+
+def eliminated(compliance: ContactOperators, status: Status, mu: Vector, law: Mask) -> Eliminated | None:
+    """Eliminate the closed contacts but those of `law` (m,): they keep their gap, and slip where they stick.
+
+    In the plane one that slips has l_T = mu l_N s. None where that system has no inverse, or where some friction of
+    `law` moves nothing.
+
+    Parameters
+    ----------
+    compliance : ContactOperators of bodies of which none floats
+    status, mu : (m,) states and coefficients
+    law : (m,) bool, the contacts that remain, all that slip in space among them
+    """
+    m, d, n = len(mu), len(compliance.W) // len(mu), len(compliance.W)
+    place, W, felt = np.arange(n).reshape(m, d), compliance.W, felt_rows(compliance)
+    if not felt[law].all():
+        return None
+    closed = (status != OPEN) & ~law
+    sticks = felt[:, 1:] & (closed & (status == STICK) & (mu > 0))[:, None]
+    held = np.concatenate([place[closed, 0], place[:, 1:][sticks]])
+    P = np.zeros((n, len(held)))
+    P[held, np.arange(len(held))] = 1.0
+    slides = np.flatnonzero(closed & (abs(status) == 1) & (mu > 0))
+    P[place[slides, 1], np.searchsorted(np.flatnonzero(closed), slides)] = (mu * status)[slides]
+    kept, M = place[law].ravel(), W[held] @ P
+    try:
+        inverse = np.linalg.inv(M)
+    except np.linalg.LinAlgError:
+        return None
+    T = -P @ (inverse @ W[np.ix_(held, kept)])
+    T[kept, np.arange(len(kept))] += 1.0
+    response, own = W[kept] @ P, abs(P.T @ W @ P)
+    growth = float(np.linalg.norm(M, 1) * np.linalg.norm(inverse, 1)) if len(M) else 1.0
+    return Eliminated(W[kept] @ T, T, T.T @ W @ T, abs(response), abs(inverse), own, held, P, growth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +336,7 @@ def balanced_forces(
     more = 1 + allowance
     gap = np.where(free[:, 0], np.inf, more * gap)
     norms = ForceNorms(more * pushed, more * sizes[0], more * sizes[1], gap, more * sizes[2], allowance)
-    kappa = more * _coupling(d[:, 0], e[:, 1:], mu)
+    kappa = more * coupling(d[:, 0], e[:, 1:], mu)
     moved = V.reshape(m, -1, V.shape[1])
     always = not np.any(abs(moved[mu > 0, 1:]) > NOT_MOVED)
     return BalancedForces(norms, kappa, uncertain[:, 0], lengths(uncertain[:, 1:]), moved, motions, always)
@@ -396,14 +447,3 @@ def _half_inverse(basis: Array, W: Array, lost_digits: float) -> tuple[Array, fl
     allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
     half = inverse_of_lower(factor).T
     return (half, allowance) if allowance <= TOO_ROUNDED and np.all(np.isfinite(half)) else None
-
-
-def _coupling(force: Array, slip: Array, mu: Vector) -> float:
-    """Return kappa of the normal forces (m, p) and slips (m, d-1, p) that unit changes make."""
-    sizes = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=(1, 2))
-    coupled = (mu > 0) & (sizes[0] > 0) & (sizes[1] > 0)
-    if not coupled.any():
-        return 0.0
-    weight, mu, force, slip = sizes[1][coupled] / sizes[0][coupled], mu[coupled], force[coupled], slip[coupled]
-    square = force.T @ ((mu * weight)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / weight, slip, slip)
-    return float(np.linalg.eigvalsh(square)[-1]) / 2

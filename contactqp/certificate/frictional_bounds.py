@@ -72,11 +72,9 @@ from contactqp.certificate.coulomb_law import onto_discs
 from contactqp.certificate.critical_friction import (
     MOST_UNKNOWNS,
     WITHOUT_STIFFNESS,
-    Eliminated,
     SlipsNearby,
     acting_rows,
     critical,
-    eliminated,
     felt_rows,
     inverse_of_lower,
     slips_nearby,
@@ -84,9 +82,11 @@ from contactqp.certificate.critical_friction import (
 )
 from contactqp.certificate.force_norms import (
     BalancedForces,
+    Eliminated,
     ForceNorms,
     RefinedLengths,
     balanced_forces,
+    eliminated,
     norms_of_all_rows,
     norms_of_skew,
     part_that_is_seen,
@@ -455,7 +455,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     """Return bounds of forces r (m, d) of a local problem that are taken to be in these states (m,), or why not.
 
     W is that of the problem, the displacement of (1) any whose gaps and slips are u = W r + q. Where W is not symmetric
-    d'W d is that of its symmetric part.
+    d'W d is that of its symmetric part, and slips nearby that turn are those of Newton and Kantorovich alone.
     """
     if not problem.contacts:
         return LocalBounds(0.0, np.zeros(0), GLOBALLY)
@@ -477,13 +477,12 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     if norms is not None and kappa < 1:
         error = _distance(refined, norms, status, mu, kappa)
     else:
-        if skew and (norms is None or problem.dimension == 3):
-            others = f"other equilibria are not excluded (kappa = {kappa:.3g})"
-            return f"{others}, and delassus is not symmetric, by {problem.scaled_asymmetry:.2g}"
-        norms = norms if skew else ForceNorms.of(compliance, 0.0, acting_rows(compliance, status, mu))
+        acting = acting_rows(compliance, status, mu)
+        of_acting = norms_of_skew(compliance, W, mu, 0.0, acting)[0] if skew else None
+        norms = of_acting if skew else ForceNorms.of(compliance, 0.0, acting)
         if norms is None:
             return ROWS_DEPEND
-        slips = SlipsNearby.none(mu) if skew else slips_nearby(compliance, status, mu)
+        slips = slips_nearby(compliance, status, mu, W if skew else None)
         left, margin = 2 * last + refined.correction, _margin(refined, norms, status, mu) - refined.correction
         near = _nearest(slips, refined, norms, left, margin)
         if isinstance(near, float):

@@ -78,5 +78,5 @@ def test_several_answers_beside_a_massless_node_are_proven_nearby_alone(
     assert len(answers) == 3
     scopes = partial(_scopes, problem, answers)
     assert scopes() == ["local"] * 3
-    monkeypatch.setattr(force_norms, "_coupling", lambda *_: 0.0)
+    monkeypatch.setattr(force_norms, "coupling", lambda *_: 0.0)
     assert scopes() == ["global"] * 3  # a false claim, which the comparison with all equilibria above refuses

@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate import frictional_bounds
-from contactqp.certificate.critical_friction import eliminated
+from contactqp.certificate.force_norms import eliminated
 from contactqp.linalg.delassus import ContactOperators
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from tests.certificate.test_frictional_bounds import distances, numbers, off

@@ -224,32 +224,35 @@ def test_slips_that_may_turn_each_other_are_proven_nearby(monkeypatch: pytest.Mo
     assert any(one.kappa >= 1 for one in seen)
 
 
-def law(y: np.ndarray, A: np.ndarray, P: np.ndarray, mu: np.ndarray, N: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Return y + sum A_i' mu (N + P_i y) t_i, t_i the direction of s_i + A_i y: Coulomb's law but for a constant."""
+def law(y: Any, A: Any, B: Any, P: Any, mu: Any, N: Any, s: Any) -> Any:
+    """Return y + sum B_i' mu (N + P_i y) t_i, t_i the direction of s_i + A_i y: Coulomb's law but for a constant."""
     slip = s + A @ y
-    return y + np.einsum("iwp,iw->p", A, (mu * (N + P @ y) / np.linalg.norm(slip, axis=1))[:, None] * slip)
+    return y + np.einsum("iwp,iw->p", B, (mu * (N + P @ y) / np.linalg.norm(slip, axis=1))[:, None] * slip)
 
 
-def test_a_ball_of_slips_has_one_answer_at_most() -> None:
+@pytest.mark.parametrize("skew", [False, True])
+def test_a_ball_of_slips_has_one_answer_at_most(skew: bool) -> None:
     """Newton's map contracts between any two points of the ball, and not in one sixteen times as large."""
     rng, beyond, found = np.random.default_rng(3), 0, 0
     for _ in range(40):
         q = int(rng.integers(1, 4))
         shape = rng.standard_normal((2 * q, 2 * q))
         A = np.linalg.cholesky(shape @ shape.T + 0.1 * np.eye(2 * q)).reshape(q, 2, 2 * q)
+        turn = np.triu(rng.standard_normal((2 * q, 2 * q)), 1)
+        B, A = A, A @ (np.eye(2 * q) + skew * (turn - turn.T))
         P, mu, N = rng.standard_normal((q, 2 * q)), rng.uniform(0.1, 1.5, q), rng.uniform(0.5, 2.0, q)
         s = rng.standard_normal((q, 2)) * 10 ** rng.uniform(-2, 1)
 
-        slips = critical_friction.SlipsNearby(np.ones(q, dtype=bool), mu, A, P, np.inf)
+        slips = critical_friction.SlipsNearby(np.ones(q, dtype=bool), mu, A, B, P, np.inf)
         ball = slips.settled(N, s, 0.0, np.inf)
         if ball is None:  # nearly singular
             continue
         found += 1
         assert ball.radius > 1e-6 * np.min(np.linalg.norm(s, axis=1))
         steps = 1e-4 * ball.radius * np.eye(2 * q)
-        data = A, P, mu, N, s
+        data = A, B, P, mu, N, s
         J = np.column_stack([(law(step, *data) - law(-step, *data)) / (2e-4 * ball.radius) for step in steps])
-        assert ball.inverse == pytest.approx(np.linalg.norm(np.linalg.inv(J), 2), rel=1e-4)
+        assert ball.inverse == pytest.approx(np.linalg.norm(np.linalg.inv(J), 2), rel=1e-3)  # of central differences
         assert ball.slack >= 0.5
         for far in (1.0, 16.0):
             for _ in range(20):
@@ -258,7 +261,7 @@ def test_a_ball_of_slips_has_one_answer_at_most() -> None:
                 assert far > 1 or kept <= 0.501 * np.linalg.norm(y - z)
                 beyond += far > 1 and kept > 0.501 * np.linalg.norm(y - z)
     assert beyond > 20
-    assert found > 30
+    assert found > 25
 
 
 def test_a_bound_that_were_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
