@@ -15,7 +15,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.rate_systems import (
-    EPS,
     SAME,
     Direction,
     Parts,
@@ -31,7 +30,7 @@ from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.friction_states import friction_bound, refined_in
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -470,4 +469,4 @@ def missed(problem: ContactProblem, scales: Scales, found: Rates, direction: Dir
     missed.append(scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
     rates = [scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")]
     left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
-    return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), float(np.finfo(float).tiny)])
+    return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), TINY])

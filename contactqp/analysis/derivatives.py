@@ -15,14 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import EPS, SAME, VECTORS, Direction, Parts, Rates, errors_of
+from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Parts, Rates, errors_of
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
+from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution

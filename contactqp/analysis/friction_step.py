@@ -24,7 +24,7 @@ from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotCon
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.measures import own_compliance, row_sizes
-from contactqp.model.arrays import METHOD, POLISH, Array, Mask, Vector, one_blas_thread, stage
+from contactqp.model.arrays import EPS, METHOD, POLISH, Array, Mask, Vector, one_blas_thread, stage
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -43,7 +43,7 @@ HALVINGS = 30
 # A gap of this part of the lengths that meet is rounding.
 TOUCHING = 1e-12
 # A slip of this part of the lengths that meet is rounding of these.
-STILL = float(np.finfo(float).eps)
+STILL = EPS
 # Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out, and again
 # by it where one closes all the same, so many times.
 WIDENED = 1e3

@@ -20,7 +20,7 @@ from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
 from contactqp.errors import InvalidProblem, NotConverged, Unsupported, shown
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, one_blas_thread, own_floating_point
+from contactqp.model.arrays import TINY, Array, Vector, one_blas_thread, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.model.solution import Solution
@@ -177,7 +177,7 @@ def _refuse_times(duration: Any, time_step: Any, start_time: Any) -> None:
     """Raise InvalidProblem for times that no motion has, or a step whose square is no double."""
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
-    if not np.finfo(float).tiny <= float(time_step) * float(time_step) < np.inf:
+    if not TINY <= float(time_step) * float(time_step) < np.inf:
         raise InvalidProblem(f"time_step: expected a step whose square is a number, got {shown(time_step)}")
     if not is_number(start_time) or not np.isfinite(start_time):
         raise InvalidProblem(f"start_time: expected a finite number, got {shown(start_time)}")

@@ -27,7 +27,7 @@ from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows, two_product
 from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
-from contactqp.model.arrays import Array, Vector, zero_beneath
+from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
@@ -36,7 +36,6 @@ from contactqp.model.solution import AnswerOf
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
-EPS = float(np.finfo(float).eps)
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of

@@ -43,7 +43,6 @@ from contactqp.analysis.border_states import (
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
 from contactqp.analysis.rate_systems import (
-    EPS,
     LARGE,
     SAME,
     Direction,
@@ -61,7 +60,7 @@ from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -455,7 +454,7 @@ class Linearised:
         if missed(self.problem, self.scales, found, direction, system) > SEEN:  # those that fit best are no rates
             return
         signs = self.borders.signs(found, direction, system)
-        size = max(float(np.max(abs(signs), initial=0.0)), float(np.finfo(float).tiny))
+        size = max(float(np.max(abs(signs), initial=0.0)), TINY)
         if width_within(turns, signs / size, np.inf) > SEEN:
             raise many
 

@@ -24,7 +24,7 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.existence import refuse_conflict
-from contactqp.linalg.extended import EPS, Extended, SparseRows, extend, extended_rows, residuals
+from contactqp.linalg.extended import FINE_EPS, Extended, SparseRows, extend, extended_rows, residuals
 from contactqp.linalg.floating import UNRESISTED, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import (
@@ -36,7 +36,7 @@ from contactqp.linalg.measures import (
 )
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set
 from contactqp.linalg.refinement import OnSet
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -98,7 +98,7 @@ CLOSING_SWEEPS = 4
 # A gap beneath this part of its lengths is zero in extended precision too.
 ZERO_GAP = 2.0**-90
 # What the forces on a rigid motion may leave of each other, when each is rounded once or twice.
-LEFT_BY_ROUNDING = 4 * np.finfo(float).eps
+LEFT_BY_ROUNDING = 4 * EPS
 # The part of an excess that a displacement in double precision may leave of it.
 MISSED = 1e-6
 # What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
@@ -474,8 +474,8 @@ def out_of_balance(
 ) -> Vector:
     """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
 
-    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to EPS of all that
-    meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
+    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to FINE_EPS of all
+    that meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
 
     Parameters
     ----------
@@ -486,10 +486,7 @@ def out_of_balance(
     motions = condensation.rigid.motions
     solution = (extend(answer.displacement) + pair.to_middle).double()
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
-    if pair.exact:
-        imbalance = EPS * forces_that_meet(problem, forces)
-    else:
-        imbalance = np.finfo(float).eps * outer_forces(problem, forces)
+    imbalance = FINE_EPS * forces_that_meet(problem, forces) if pair.exact else EPS * outer_forces(problem, forces)
     rows, weight = rows_on_motions(problem, condensation, active)
     rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
     share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)

@@ -26,6 +26,7 @@ from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, outer_forces, parts, scale_through_rows, untouched
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -47,8 +48,6 @@ ACTING = 1e-6
 # HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
 # formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
 LP_TOLERANCES = (1e-10, 1e-7)
-# Rows of unit length whose combination is this part of them depend on each other.
-DEPENDENT_ROWS = 1e-10
 # Up to so many contacts that touch and ties their dependence is looked at, in dense matrices.
 MOST_SHARING = 1000
 # Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.

@@ -33,7 +33,7 @@ from contactqp.linalg.measures import (
     reciprocal,
     row_sizes,
 )
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing, Violations
 
@@ -393,7 +393,7 @@ def de_saxce(velocity: Array, friction: Vector) -> Array:
 
 
 # A friction force within this part of mu r_N, either way, is mu r_N: doubles come no nearer.
-ON_CONE = 4 * float(np.finfo(float).eps)
+ON_CONE = 4 * EPS
 
 
 def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:

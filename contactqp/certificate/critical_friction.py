@@ -25,7 +25,7 @@ from contactqp.linalg.delassus import ContactOperators, contact_compliance
 from contactqp.linalg.iteration import factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import ratio
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Indices, Mask, Vector, computes, own_floating_point
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector, computes, own_floating_point
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
@@ -292,7 +292,7 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
 def regular(matrices: Array) -> Mask:
     """Return which of the matrices (c, q, q) have a determinant that exceeds the rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
-    lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), np.finfo(float).tiny)), axis=1)
+    lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), TINY)), axis=1)
     return np.asarray(size > lengths + np.log(SINGULAR))
 
 
@@ -385,7 +385,7 @@ class SlipsNearby:
         norms = float(np.linalg.norm(inverse, 2)), float(np.linalg.norm(J, 2))
         if not norms[0] <= MOST_GROWTH:
             return None
-        given = 2 * norms[0] * norms[1] * (allowance + len(J) * float(np.finfo(float).eps))
+        given = 2 * norms[0] * norms[1] * (allowance + len(J) * EPS)
         spread = np.linalg.norm(inverse @ self.drive.swapaxes(1, 2), ord=2, axis=(1, 2))
         radius = min(most, 0.5 * float(np.min(np.divide(size, wide, out=np.full_like(size, np.inf), where=wide > 0))))
         for _ in range(HALVINGS):

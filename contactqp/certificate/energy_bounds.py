@@ -60,7 +60,7 @@ from contactqp.linalg.sparse_saddle import (
     SparseSaddle,
     kept_saddle,
 )
-from contactqp.model.arrays import Vector, seconds_of_unfinished, within_time
+from contactqp.model.arrays import EPS, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
@@ -71,7 +71,7 @@ ALMOST_FREE = 1e-3
 # A residual of equilibrium that costs more than this part of the energy is weighed against the constraints around it.
 NOTABLE = 1e-11
 # A bound of an unknown is a quotient of doubles, which rounds it by at most this part of itself.
-ROUNDED_BOUND = float(np.finfo(float).eps)
+ROUNDED_BOUND = EPS
 # Diagonals exceed the sum of the other entries where they do so by more than rounding.
 DOMINANT = 1e-12
 # Energies and forces that lengths rounded to this part of themselves would have are none, nor what such forces do
@@ -177,7 +177,7 @@ def _from_solution(
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
-    rounded = max(float(solution.normal_force @ lengths) * np.finfo(float).eps, REACH * least**2)
+    rounded = max(float(solution.normal_force @ lengths) * EPS, REACH * least**2)
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
     one_by_one = unique.forces and pushed > 0

@@ -36,7 +36,7 @@ from contactqp.certificate.coulomb_law import (
 )
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import REGULAR, RigidMotions, SaddlePoint, orthonormal, saddle_point
-from contactqp.linalg.extended import EPS, Extended, Residuals, extend, extended_rows, residuals
+from contactqp.linalg.extended import FINE_EPS, Extended, Residuals, extend, extended_rows, residuals
 from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
@@ -52,7 +52,7 @@ from contactqp.linalg.measures import (
     scale_through_rows,
 )
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import EPS, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Nothing, Violations
 
@@ -73,13 +73,13 @@ CONTRACTION = 0.5
 PIVOTS_FLATTER = 1e3
 # A norm that double precision knows to this part is known well enough for a bound.
 FEW_DIGITS = 1e-4
-# Rounding of a double, and of v'Kv in extended precision, in units of EPS |v|'|K||v|.
-ROUNDING, PRODUCT = float(np.finfo(float).eps), 16
+# Rounding of a double, and of v'Kv in extended precision, in units of FINE_EPS |v|'|K||v|.
+ROUNDING, PRODUCT = EPS, 16
 # Sweeps of refinement that a response may take, and the part of it that need not be known: good ones need two.
 SWEEPS, ENOUGH = 8, 1e-9
 # A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
 # motion; so is a contact force's whose energy norm is this part of its size.
-RIGID_ROUNDING = 64 * np.finfo(float).eps
+RIGID_ROUNDING = 64 * EPS
 # Units 1/sqrt(K_jj) of unknowns that differ by no more than this are alike.
 UNITS_ALIKE = 1e3
 
@@ -306,7 +306,7 @@ def energy_norm(problem: ContactProblem, displacement: Extended | Vector) -> tup
     if rounding > FEW_DIGITS * square:
         exact = extend(displacement)
         square = max(float(exact.dot(extended_rows(problem).stiffness @ exact)), 0.0)
-        rounding = float(PRODUCT * EPS * size)
+        rounding = float(PRODUCT * FINE_EPS * size)
     norm = float(np.sqrt(square))
     return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
 
@@ -472,9 +472,12 @@ def without_part_along(motions: Vector, vector: Extended) -> Extended:
 
 
 def residual_noise(problem: ContactProblem, answer: Answer) -> float:
-    """Bound what the rounding d of a residual, |d_j| <= EPS F_j, may hide: |D d| / sqrt(least eigenvalue of DKD)."""
+    """Bound what the rounding d of a residual may hide, |D d| / sqrt(least eigenvalue of DKD).
+
+    A residual is formed so that |d_j| <= FINE_EPS F_j.
+    """
     scale = problem.own_scale
-    return float(EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
+    return float(FINE_EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
 def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: Vector) -> float:

@@ -35,9 +35,9 @@ from contactqp.linalg.delassus import (
     contact_compliance,
 )
 from contactqp.linalg.dense import orthonormal_motions
-from contactqp.linalg.extended import EPS, extend, extended_rows
+from contactqp.linalg.extended import FINE_EPS, extend, extended_rows
 from contactqp.linalg.measures import lengths, own_compliance
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -142,7 +142,7 @@ class ForceNorms:
         except np.linalg.LinAlgError:
             return None
         pivots = np.diag(factor) ** 2 / np.diag(operator)
-        rounding = max(lost_digits, len(pivots) * np.finfo(float).eps)
+        rounding = max(lost_digits, len(pivots) * EPS)
         allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
         half = inverse_of_lower(factor)
         if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
@@ -182,7 +182,7 @@ def refined_local_lengths(
 
     r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
     meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
-    correction = float(EPS * np.linalg.norm(meeting))
+    correction = float(FINE_EPS * np.linalg.norm(meeting))
     refined = RefinedLengths(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
     apart = norm((extend(force.ravel()) - found.force).double())
     return refined, apart, norm(found.last), norm(found.force.double())
@@ -443,7 +443,7 @@ def _half_inverse(basis: Array, W: Array, lost_digits: float) -> tuple[Array, fl
     except np.linalg.LinAlgError:
         return None
     pivots = factor.diagonal() ** 2 / (basis.T**2 @ W.diagonal())
-    rounding = max(lost_digits, len(W) * np.finfo(float).eps)
+    rounding = max(lost_digits, len(W) * EPS)
     allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
     half = inverse_of_lower(factor).T
     return (half, allowance) if allowance <= TOO_ROUNDED and np.all(np.isfinite(half)) else None

@@ -104,14 +104,14 @@ from contactqp.linalg.delassus import (
 )
 from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
 # Coulomb's law in doubles is missed by this part of the friction, by rounding.
-ROUNDED = 8 * float(np.finfo(float).eps)
+ROUNDED = 8 * EPS
 # Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
 SYMMETRIC = 1e-15
 FLOATS = "a body is held by contacts alone"

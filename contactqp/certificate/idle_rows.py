@@ -25,13 +25,10 @@ from contactqp.linalg.extended import extend
 from contactqp.linalg.floating import independent_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
-from contactqp.linalg.measures import force_measure, forces_that_meet
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, force_measure, forces_that_meet
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Nothing, Violations
-
-# Forces whose response has less than this part of the intrinsic size of problem and answer are nothing.
-NOTHING = 1e-12
 
 # What `Violations` has for every contact.
 _OF_CONTACTS = (
@@ -245,7 +242,7 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     acting, theirs = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
     size, pushed, strain = _energies(acting, theirs, load)
     scale = max(pushed, strain)
-    if size <= NOTHING * certificate.violations.intrinsic_size:
+    if size <= NOTHING_BY_DEFAULT * certificate.violations.intrinsic_size:
         return certificate
     part = size / scale if scale > 0 else np.inf
     failures = certificate.failures

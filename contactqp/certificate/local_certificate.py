@@ -34,13 +34,14 @@ from numpy.typing import ArrayLike
 from contactqp.certificate.coulomb_law import distance_from_law, natural_map
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
-from contactqp.certificate.uniqueness import DEPENDENT_CONTACTS, FORCES, POSSIBLE, UNKNOWN, Uniqueness
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, UNKNOWN, Uniqueness
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.delassus import velocity_of
 from contactqp.linalg.measures import directions, lengths
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
+from contactqp.model.arrays import EPS, TINY, Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -115,7 +116,7 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
     coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
     inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
     matrix = np.block([[B.T @ (problem.scaled_delassus @ B), coupling], [coupling.T, inner]])
-    size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), np.finfo(float).tiny))
+    size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), TINY))
     scaled = matrix / np.outer(size, size)
     if not np.all(np.isfinite(scaled)):
         return False  # forces beyond the floats, along which nothing can be said
@@ -123,7 +124,7 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
     if not failed and lapack().dgecon(factor, np.linalg.norm(scaled, 1))[0] > SURELY_INDEPENDENT:
         return False
     values = np.linalg.svd(scaled, compute_uv=False)
-    return bool(values[-1] <= DEPENDENT_CONTACTS * values[0])
+    return bool(values[-1] <= DEPENDENT_ROWS * values[0])
 
 
 # Siconos divides by no scale that is smaller than these.
@@ -266,7 +267,7 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 # Velocities and forces of this part of the largest, as roots of energies, are rounding.
 NOTHING = 1e-12
 # What the last digits of forces make of a velocity, and of the direction of a slip, over the velocities that meet.
-ROUNDING_OF_VELOCITIES = 4 * float(np.finfo(float).eps)
+ROUNDING_OF_VELOCITIES = 4 * EPS
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
 

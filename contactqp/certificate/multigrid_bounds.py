@@ -36,7 +36,7 @@ import numpy as np
 
 from contactqp.certificate.bounds import Bounds, no_bounds, relative_error
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
-from contactqp.model.arrays import Indices, Vector
+from contactqp.model.arrays import EPS, Indices, Vector
 
 # Refinement that contracts less than this proves nothing, as in `figures`.
 CONTRACTION = 0.5
@@ -44,13 +44,13 @@ SAFETY = 10.0
 # The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
 GENEROUS = 25.0
 # What is left to gain is rounding of what was gained: further steps would go along nothing, anywhere.
-EXHAUSTED = float(np.finfo(float).eps) ** 2
+EXHAUSTED = EPS**2
 # The same where residuals are formed in double precision.
 ITERATED_NOTHING = 1e-10
 # Steps of the longest run that Ritz values are believed of.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
 # Rounding of a residual or a gap that is formed in double precision, relative to the forces or lengths that meet.
-ROUNDING_OF_PRODUCTS = 16 * np.finfo(float).eps
+ROUNDING_OF_PRODUCTS = 16 * EPS
 # Corrections of the set that the candidate is moved onto.
 REPAIRS = 8
 # A penetration of this part of its lengths is the rounding of a closed contact.

@@ -23,7 +23,7 @@ from contactqp.linalg.extended import Residuals, extend, residuals
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import lay_out, lengths_that_meet, own_compliance
-from contactqp.model.arrays import Indices, Vector
+from contactqp.model.arrays import TINY, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -46,7 +46,7 @@ def first_candidates(problem: ContactProblem) -> Indices | None:
     if problem._computed.subset is not None:
         return np.asarray(problem._computed.subset[0])
     touched = len(np.unique(problem.normal.indices))
-    nearness = problem.gap / np.sqrt(np.maximum(own_compliance(problem, problem.normal), np.finfo(float).tiny))
+    nearness = problem.gap / np.sqrt(np.maximum(own_compliance(problem, problem.normal), TINY))
     count = max(1, FIRST * problem.contacts // touched)
     return np.sort(np.argsort(nearness, kind="stable")[:count])
 

@@ -35,6 +35,7 @@ from contactqp.certificate.critical_friction import (
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.measures import directions, lengths
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK
 from contactqp.model.problem import ContactProblem
@@ -245,9 +246,7 @@ POSSIBLE = "several answers possible"  # others are not excluded
 FORCES = "forces not unique"
 UNKNOWN = "not examined"
 
-# Singular values of rows of unit length, relative to the largest, beneath which they depend on each other.
-DEPENDENT_CONTACTS = 1e-10
-# Pivots of their Gram matrix above this part of one say that they do not.
+# Pivots of the Gram matrix of rows of unit length above this part of one say that they do not depend on each other.
 INDEPENDENT = 1e-12
 # Linearising the Tresca fixed-point iteration takes a dense system of all closed contacts, at every answer.
 MOST_LINEARISED = 100
@@ -379,7 +378,7 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
         return np.zeros(0, dtype=np.intp)
     _, values, rotation = np.linalg.svd(both.T, full_matrices=len(both) > len(scale))
     values = np.concatenate([values, np.zeros(len(both) - len(values))])
-    null = rotation[values <= DEPENDENT_CONTACTS * values[0], :count].T
+    null = rotation[values <= DEPENDENT_ROWS * values[0], :count].T
     shares = np.max(abs(null), axis=1, initial=0.0)
     return np.unique(of[felt][shares > SHARE])
 

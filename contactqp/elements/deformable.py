@@ -23,7 +23,7 @@ from contactqp.elements.scalars import real_array, real_number, real_vector, uni
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
-from contactqp.model.arrays import Array, Index, Vector, computes
+from contactqp.model.arrays import EPS, Array, Index, Vector, computes
 from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_shaped
 
 
@@ -247,7 +247,7 @@ class SupportedContact:
 
 
 # Of a coordinate: a few operations lie between it and a gap.
-ROUNDING_OF_COORDINATES = 16 * np.finfo(float).eps
+ROUNDING_OF_COORDINATES = 16 * EPS
 
 
 @checks

@@ -25,7 +25,7 @@ from contactqp.elements.reference_elements import (
 from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
-from contactqp.model.arrays import Array, Index
+from contactqp.model.arrays import EPS, Array, Index
 from contactqp.model.problem_data import ReadOnly, read_only
 
 Points = Array
@@ -410,7 +410,7 @@ def _check_jacobians(points: Points, block: Block, first: int) -> None:
             size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
             # A determinant multiplies d differences of coordinates, each rounded to eps times the coordinate.
             largest = np.abs(corners).max(axis=(1, 2))
-            rounding = 16 * np.finfo(float).eps * size ** (kind.dimension - 1) * (size + largest)
+            rounding = 16 * EPS * size ** (kind.dimension - 1) * (size + largest)
             inside = Geometry(kind, corners, seen).determinant
             at_nodes = Geometry(kind, corners, kind.nodes).determinant
             worst = np.minimum(inside.min(axis=1), at_nodes.min(axis=1))

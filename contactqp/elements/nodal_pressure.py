@@ -50,7 +50,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import KINDS, FacetKind, Surface, diameters, kind_of, normal_vectors, tangent_vectors
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array, Index, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Index, Mask, Vector
 from contactqp.model.problem_data import ReadOnly
 
 # Per direction: exact for the shape functions on facets with straight edges, 1e-6 or better on curved ones.
@@ -278,7 +278,7 @@ class NodalPressure(ReadOnly):
         finite = np.isfinite(given)
         area = self.collected.T @ np.where(finite, self.integral, 0.0)
         least = abs(self.collected.T) @ np.where(finite, abs(self.integral), 0.0)
-        there = area > np.finfo(float).eps * least
+        there = area > EPS * least
         moment = self.collected.T @ np.where(finite, given, 0.0)
         value = np.where(there, moment / np.where(there, area, 1.0), np.nan)
         nodal = self.collected @ value
@@ -413,7 +413,7 @@ def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
     """Return the linear functions of the corners at all nodes; facets (p, k)."""
     corners = KINDS[kind.nodes.shape[1] + 1, kind.corners]
     values = corners.shape(kind.nodes)
-    node, corner = np.nonzero(np.abs(values) > np.finfo(float).eps)
+    node, corner = np.nonzero(np.abs(values) > EPS)
     pairs = np.column_stack([facets[:, node].ravel(), facets[:, corner].ravel()])
     entries, first = np.unique(pairs, axis=0, return_index=True)
     return _sparse(entries[:, 0], entries[:, 1], np.tile(values[node, corner], len(facets))[first], size)

@@ -40,7 +40,7 @@ from contactqp.elements.surface import (
 )
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Index, Mask, own_floating_point
+from contactqp.model.arrays import EPS, Array, Index, Mask, own_floating_point
 
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.
 FACING = 1e-6
@@ -286,7 +286,7 @@ def _minimise(
     s = samples[np.argmin(tried, axis=0)] if len(points) else np.zeros((0, len(along)))
     at, active = tried.min(axis=0, initial=np.inf), everyone
     # A distance is flat at its minimum: below this the last steps towards it cannot be told from rounding.
-    slack = 64 * np.finfo(float).eps * (np.abs(positions).max(axis=(1, 2)) + np.abs(points).max(axis=1))
+    slack = 64 * EPS * (np.abs(positions).max(axis=(1, 2)) + np.abs(points).max(axis=1))
     for _ in range(NEWTON_STEPS):
         step = _newton_step(kind, positions[active], points[active], start + s[active] @ along, along)
         step *= np.minimum(1.0, 1.0 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))

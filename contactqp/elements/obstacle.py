@@ -12,11 +12,11 @@ import numpy as np
 from contactqp.elements.scalars import Number, Numbers, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Array, computes
+from contactqp.model.arrays import EPS, Array, computes
 from contactqp.model.problem_data import is_whole
 
 # Where truncation (step^2) and rounding (eps / step) of a central difference meet.
-RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
+RELATIVE_STEP = float(np.cbrt(EPS))
 
 
 class Obstacle(Protocol):

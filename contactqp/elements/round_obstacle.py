@@ -16,7 +16,7 @@ from contactqp.elements.scalars import positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.measures import lengths
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Array, computes
+from contactqp.model.arrays import EPS, Array, computes
 
 # Closer to the centre than this part of the radius, every direction is as near as any other.
 CENTRE = 1e-9
@@ -295,6 +295,6 @@ def _largest_root(p: Array, q: Array) -> Array:
         slope = 3 * x**2 + p
         step = np.where(slope > 0, (x**3 + p * x - q) / np.where(slope > 0, slope, 1.0), 0.0)
         x = x - step
-        if np.all(np.abs(step) <= 4 * np.finfo(float).eps * x):
+        if np.all(np.abs(step) <= 4 * EPS * x):
             break
     return x * size

@@ -21,7 +21,7 @@ from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.arrays import EPS, Array, Index, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_coefficient
 
@@ -32,7 +32,7 @@ EVERYTHING_HELD = "structure: the supports hold every unknown; expected some tha
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
 # Of the coordinates that a gap is a difference of, what their rounding may leave of it.
-GAPS_ROUND = 16 * float(np.finfo(float).eps)
+GAPS_ROUND = 16 * EPS
 
 
 @checks

@@ -10,12 +10,12 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Vector, own_floating_point
+from contactqp.model.arrays import EPS, Array, Vector, own_floating_point
 from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 # Scaled to unit diagonal, a singular matrix has a reciprocal condition number of a few eps in floating point.
-SINGULAR = 64 * np.finfo(float).eps
+SINGULAR = 64 * EPS
 # Columns of H that are solved for at a time: a dense block of them must fit into memory.
 COLUMNS_AT_A_TIME = 256
 

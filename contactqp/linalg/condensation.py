@@ -47,7 +47,7 @@ from contactqp.linalg.factorization import (
 from contactqp.linalg.floating import NullSpace, unresisted
 from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
 from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
-from contactqp.model.arrays import CONDENSE, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
+from contactqp.model.arrays import CONDENSE, EPS, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 
@@ -56,7 +56,7 @@ NOTHING_LEFT = 1e-8
 # Loads inside a body that cancel to this part of them on the contacts are measured by their sizes.
 CANCELLED = 1e-4
 # Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
-LOST_DIGITS = 8 * np.finfo(float).eps
+LOST_DIGITS = 8 * EPS
 # Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
 CONDENSED_ROUNDING = 1e-6
 # The eigenvectors of a K up to this size cost next to nothing.
@@ -251,7 +251,7 @@ class Condensation:
         cleared = self.schur * (self.scale[:, None] * self.scale)
         cleared = cleared - Q @ (Q.T @ cleared)
         cleared = cleared - (cleared @ Q) @ Q.T
-        cleared[abs(cleared) < len(Q) * np.finfo(float).eps] = 0.0
+        cleared[abs(cleared) < len(Q) * EPS] = 0.0
         self.schur = (cleared + cleared.T) / 2 / (self.scale[:, None] * self.scale)
         vars(self).pop("schur_factor", None)
 

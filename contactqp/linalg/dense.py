@@ -35,13 +35,13 @@ import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root, refuse_late
+from contactqp.model.arrays import EPS, RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300
 # Added to each unit of diagonal, times the size, where rounding left no positive pivot; refinement then tells the rest.
-LIFT = 4 * np.finfo(float).eps
+LIFT = 4 * EPS
 # A unit-diagonal matrix whose pivots fall below this may be singular: only then its null space is looked for.
 SUSPICIOUS_PIVOT = 1e-8
 # Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
@@ -50,7 +50,7 @@ BLOCK = 64
 WRITTEN_OUT = 2**14
 # Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
 ANCHOR = 1e-6
-# What a double-precision operator cannot tell from zero, relative to the lengths that meet.
+# What a double-precision operator, and an answer found by it, cannot tell from zero: part of the lengths that meet.
 OPERATOR_ROUNDING = 1e-12
 # Pivots of S and of W_BB, with diagonals of ones, beneath which the null-space method keeps more digits.
 REGULAR = 1e-7
@@ -179,7 +179,7 @@ class RigidMotions:
         load, reduced : (n,) and (p,) arrays, the load and the condensed one, scaled
         """
         missing = self.motions.T @ load - motions.T @ reduced
-        rounding = 4 * np.finfo(float).eps * (abs(self.motions).T @ abs(load))
+        rounding = 4 * EPS * (abs(self.motions).T @ abs(load))
         of_body = bodies[np.argmax(abs(motions), axis=0)]
         acting = np.isin(of_body, of_body[abs(missing) > rounding])
         change, *_ = np.linalg.lstsq(motions[:, acting].T, missing[acting], rcond=None)
@@ -432,13 +432,13 @@ class _RangeSpace:
 
 # Rounding of K mixes motions this far apart in energy by MIXED over their distance.
 MIXING = 1e-6
-MIXED = 64 * np.finfo(float).eps
+MIXED = 64 * EPS
 # What is more mixed than this is refused rather than forgiven.
 MIXED_AT_MOST = 1e-6
 # Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
 BALANCED = 1e-12
 # So is a push of this part of all forces on a body rounding, on a motion of it that lies where no force acts.
-IDLE = 256 * np.finfo(float).eps
+IDLE = 256 * EPS
 
 
 class SaddlePoint(Protocol):

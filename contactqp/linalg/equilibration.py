@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
 from contactqp.linalg.pardiso import elimination_order
-from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Index, Indices, Mask, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
@@ -380,7 +380,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 def _without_idle_part(problem: ContactProblem) -> Array:
     """Return the load without rounding of larger ones on unknowns without stiffness, which it would drive."""
-    rounding = 16 * np.finfo(float).eps * problem.load_size
+    rounding = 16 * EPS * problem.load_size
     bare = problem.diagonal == 0
     return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)
 

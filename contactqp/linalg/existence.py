@@ -27,7 +27,7 @@ from contactqp.linalg.exact_algebra import ZERO, solutions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.iteration import contacts_are_many
-from contactqp.linalg.least_norm import nearly_cancelling
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
@@ -49,8 +49,6 @@ FAR = 1e7
 PROJECTIONS = 2
 # A multiplier or a displacement of this part of the largest takes no part in a conflict or a motion.
 NO_PART = 1e-9
-# Rounding of a length and of the sums behind it, relative to the lengths that meet; of a weighted sum of rows likewise.
-ROUNDING_OF_A_SUM = 8 * np.finfo(float).eps
 # Solutions are looked for within so many times the lengths that are imposed, beside a conflict found without one.
 SOUGHT = 1e3
 # A conflict of more constraints than this is not solved for in rational numbers: its weights are looked for among
@@ -298,7 +296,7 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
     for _ in range(PROGRAMS):
         left = (extend(limit) - extended @ extend(u)).double()
         missing = np.where(np.arange(len(limit)) < m, np.maximum(-left, 0.0), abs(left))
-        if np.all(missing <= ROUNDING_OF_A_SUM * (sizes @ abs(u) + abs(limit))):
+        if np.all(missing <= WITHIN_ROUNDING * (sizes @ abs(u) + abs(limit))):
             return None
         size = float(np.max(missing / length))
         if size == 0:  # less than doubles hold, beside rows so long
@@ -376,7 +374,7 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
     least = DRIVEN * float(np.max(abs(twin.load))) if np.any(z[stiff]) else 0.0
     for motion in (np.round(z), z):  # whole numbers are exact, where they will do
         work = float(extend(twin.load).dot(extend(motion)))
-        rounding = ROUNDING_OF_A_SUM * float(abs(twin.load) @ abs(motion))
+        rounding = WITHIN_ROUNDING * float(abs(twin.load) @ abs(motion))
         if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
             continue
         if not (strictly and np.any((SparseRows(twin.stiffness_rows) @ extend(motion)).double())):
@@ -406,7 +404,7 @@ def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> b
     for rows, signed in ((held, False), (problem.normal, True)):
         moved = (SparseRows(rows) @ extend(motion)).double()
         beyond = moved if signed else abs(moved)
-        if np.any(beyond > ROUNDING_OF_A_SUM * (abs(rows) @ abs(motion))):
+        if np.any(beyond > WITHIN_ROUNDING * (abs(rows) @ abs(motion))):
             return False
     return True
 
@@ -437,7 +435,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     if not exact and not _cancel_to_rounding(part, found):
         return None
     excess = float(-sum(x * Fraction(float(limit[i])) for x, i in zip(found, members.tolist(), strict=True)))
-    rounding = ROUNDING_OF_A_SUM * float(abs(y) @ sizes[members])
+    rounding = WITHIN_ROUNDING * float(abs(y) @ sizes[members])
     if not excess > rounding:
         return None
     every = np.zeros(rows.shape[0])
@@ -473,7 +471,7 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
 
     The sums are formed exactly.
     """
-    part = rows.shape[0] * Fraction(ROUNDING_OF_A_SUM)
+    part = rows.shape[0] * Fraction(WITHIN_ROUNDING)
     for terms in _terms(rows, weights):
         if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):
             return False
@@ -490,11 +488,11 @@ def conflict_of(problem: ContactProblem, scale: Vector, weights: Vector) -> Conf
     limit = np.where(weights != 0, limit, 0.0)
     across, size = rows.T.tocsr(), abs(rows).T @ abs(weights)
     left = abs((SparseRows(across) @ extend(weights)).double())
-    if np.any(left > ROUNDING_OF_A_SUM * size):
+    if np.any(left > WITHIN_ROUNDING * size):
         return None
     imposed = np.divide(abs(limit), abs(rows) @ scale, out=np.zeros(len(limit)), where=weights != 0)
     farthest = SOUGHT * scale * float(np.max(imposed, initial=0.0))
     excess = -float(extend(limit).dot(extend(weights)))
-    rounding = ROUNDING_OF_A_SUM * float(abs(weights) @ abs(limit) + size @ farthest)
+    rounding = WITHIN_ROUNDING * float(abs(weights) @ abs(limit) + size @ farthest)
     cut = problem.contacts
     return Conflict(weights[:cut], weights[cut:], excess, rounding, exact=False) if excess > rounding else None

@@ -3,7 +3,7 @@
 The difference between an answer and the truth is K^-1 r; computed in double precision, r is rounding noise as soon as
 the answer is good. Here every number is an unevaluated sum hi + lo of two doubles (Dekker 1971), products with
 matrices of doubles are accumulated by the compensated dot product Dot2 (Ogita, Rump and Oishi 2005), and the relative
-error of a sum is about EPS = 2^-104 of the sum of sizes: plain IEEE arithmetic, the same on every platform. The
+error of a sum is about FINE_EPS of the sum of sizes: plain IEEE arithmetic, the same on every platform. The
 matrices of a problem are laid out for such products once for a stiffness and its rows (`ExtendedRows`).
 """
 
@@ -22,7 +22,8 @@ from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, AnswerOf
 
-EPS = 2.0**-104
+# The rounding of twice double precision, for numbers as they are added and multiplied here.
+FINE_EPS = 2.0**-104
 # Rows with more entries are summed on their own, in pairs.
 LONG = 2**9
 # Unknowns and rows of a problem, squared, up to which all its matrices are one array, zeros included: products with

@@ -23,7 +23,7 @@ from contactqp.linalg.dense import (
     refuse_negative,
 )
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.model.arrays import Array, Indices, Mask, inverse_root
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, inverse_root
 
 # Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
@@ -35,8 +35,8 @@ MINIMUM_DEGREE = "MMD_AT_PLUS_A"
 DROPPED = 1e-3
 # Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
 # alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
-RIGID_FORCE = 32 * np.finfo(float).eps
-RIGID_ENERGY = np.finfo(float).eps
+RIGID_FORCE = 32 * EPS
+RIGID_ENERGY = EPS
 # Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
 # Nodes of a body that are retained where it may float: three that are no line hold it.
@@ -242,7 +242,7 @@ def _rigid_among(graph: Any, root: Array, motions: Array, size: Array) -> RigidM
 def _least_energetic(motions: Array, forces: Array) -> Array:
     """Return orthonormal combinations of motions (p, q) of next to no energy, by their forces K z (p, q)."""
     basis, values, rotation = np.linalg.svd(motions, full_matrices=False)
-    kept = values > np.finfo(float).eps * max(motions.shape) * np.max(values, initial=0.0)
+    kept = values > EPS * max(motions.shape) * np.max(values, initial=0.0)
     if not np.any(kept):
         return motions[:, :0]
     mix = rotation[kept].T / values[kept]
@@ -361,7 +361,7 @@ def _null_space_of_component(component: Any) -> RigidMotions:
     lowest = lowest @ rotation
     rigid = is_rigid(scaled, lowest)
     softest = float(np.min(energies[~rigid], initial=next_energy))
-    return RigidMotions(np.asarray(scale[:, None] * lowest[:, rigid]), max(softest, np.finfo(float).tiny))
+    return RigidMotions(np.asarray(scale[:, None] * lowest[:, rigid]), max(softest, TINY))
 
 
 def _lowest_dense(scaled: Array) -> tuple[Array, float]:

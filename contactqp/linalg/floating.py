@@ -32,7 +32,7 @@ from contactqp.linalg.krylov import ConstrainedRows
 from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -316,7 +316,7 @@ def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
 
 
 # Entries of a motion that are this part of its largest, in the unknowns' units and in the energy, are its rounding.
-STANDS_STILL = 256 * float(np.finfo(float).eps)
+STANDS_STILL = 256 * EPS
 
 
 def that_move(problem: ContactProblem, motions: Array) -> Array:

@@ -39,7 +39,7 @@ from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Mask, Vector, refuse_late, zero_beneath
+from contactqp.model.arrays import EPS, Array, Mask, Vector, refuse_late, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, AnswerOf
@@ -87,7 +87,7 @@ SLOW_SWEEPS, HALVED = 60, 0.6
 WELL_TURNED = 0.1
 # Directions are doubles: corrections of this part of the answer may be all that their rounding leaves, and those that
 # no double of the answer shows are.
-ROUNDED, UNSEEN = 1e-15, float(np.finfo(float).eps) / 2
+ROUNDED, UNSEEN = 1e-15, EPS / 2
 # Corrections to come may contract so much less than the last one did. A comparison does not rely on that: its last
 # correction is a part of the bounds.
 CAUTION = 1e4

@@ -51,7 +51,7 @@ from contactqp.linalg.dense import lower_factor
 from contactqp.linalg.extended import Extended, Residuals, extend, two_sum
 from contactqp.linalg.factorization import fixing_unknowns
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -81,7 +81,7 @@ class SlicedStiffness:
     def residual(self, right: Array, x: Array) -> Array:
         """Return right - K x (n, q) for several x (n, q) at once."""
         y = x / self._unit[:, None]
-        size = 2.0 ** np.ceil(np.log2(np.maximum(abs(y).max(axis=0), np.finfo(float).tiny)))
+        size = 2.0 ** np.ceil(np.log2(np.maximum(abs(y).max(axis=0), TINY)))
         x1, x2, x3 = _slices(y / size, OF_COLUMNS)
         K1, K2, K3 = self._slices
         high, low = two_sum(right * self._unit[:, None] / size, -(K1 @ x1))
@@ -131,7 +131,6 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     )
 
 
-EPS = float(np.finfo(float).eps)
 # What corrections of influence functions tell of their errors is counted so many times; corrections larger than a part
 # of the functions tell nothing.
 ALLOWANCE, LARGEST_CORRECTION = 1e4, 1e-6
@@ -188,7 +187,7 @@ class Influence:
             on_retained = np.vstack([operator.rows[:m], own, operator.rows[m:]])
             response = operator.solve(on_retained.T)
             compliance = np.einsum("ip,pi->i", on_retained, response)
-            self._scale = 1.0 / np.sqrt(np.maximum(compliance, np.finfo(float).tiny))
+            self._scale = 1.0 / np.sqrt(np.maximum(compliance, TINY))
             response = response * self._scale
         rows = sp.csr_array(sp.diags(self._scale) @ sp.vstack([problem.normal, tangent, problem.tie]))
         unit, count = condensation.unknown_scale, len(self._scale)
@@ -308,7 +307,7 @@ class Influence:
         values = eigvalsh(self._W, check_finite=False) if self.accurate else np.zeros(1)
         rounding = 8 * len(self._W) * EPS * values[-1]  # of LAPACK's eigenvalues, and of W's two halves
         missing = 2 * np.linalg.norm(self._of_row) * np.linalg.norm(self._of_column)
-        return max(float(values[0] - rounding - missing), float(np.finfo(float).tiny))
+        return max(float(values[0] - rounding - missing), TINY)
 
     def _in_own_states(self, excess: Vector, status: Status, ratio: Vector) -> tuple[_System, Vector, Vector] | None:
         """Return the system of the states that a load leads to, its forces, and gaps, slips (turned) and ties' misses.

@@ -48,7 +48,7 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import Mask, Vector, all_finite, refuse_late
+from contactqp.model.arrays import EPS, TINY, Mask, Vector, all_finite, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -93,7 +93,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     length : float [length], d
     effort : counts factorisations and back-substitutions
     """
-    if not problem.contacts or length < np.finfo(float).tiny:
+    if not problem.contacts or length < TINY:
         return None  # ties leave no choice
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
@@ -135,7 +135,7 @@ def refined(state: ClosedState, effort: Effort) -> ClosedState:
         refuse_late("a vertex was found")
         force, length = state.left.force.double(), state.length / FARTHEST
         size = float(np.max(abs(force)))
-        units = size > 0 and length >= np.finfo(float).tiny
+        units = size > 0 and length >= TINY
         start = _vertex_in_units(state, size, length) if units else None
         if start is None:
             break
@@ -155,7 +155,7 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
     kept, others = np.flatnonzero(large), np.flatnonzero(~large)
     cost = -state.left.force.double() / size - problem.normal[others].T @ (carried[others] / size)
     equal = sp.vstack([problem.normal[kept], problem.tie], format="csr")
-    yields = size / length / np.where(problem.diagonal > 0, problem.diagonal, np.finfo(float).tiny)
+    yields = size / length / np.where(problem.diagonal > 0, problem.diagonal, TINY)
     farthest = np.minimum(FARTHEST, yields)
     found = highs(
         cost,
@@ -349,7 +349,7 @@ def _near_path(problem: ContactProblem, answer: Answer) -> CentralPoint:
     """Return the answer with forces and slacks raised until they are positive."""
     force, slack = answer.normal_force, problem.gap - problem.normal @ answer.displacement
     products = np.maximum(force, 0.0) * np.maximum(slack, 0.0)
-    least = LEAST * np.sqrt(max(float(np.mean(products)) if len(products) else 0.0, np.finfo(float).eps))
+    least = LEAST * np.sqrt(max(float(np.mean(products)) if len(products) else 0.0, EPS))
     return CentralPoint(answer.displacement, np.maximum(force, least), np.maximum(slack, least), answer.tie_force)
 
 

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import RESTART, flexible_gmres
 from contactqp.linalg.measures import directions, lengths, ratio, reciprocal
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.solution import Answer
 
@@ -234,7 +234,7 @@ STEPS, ROUNDS = 600, 4
 # A round reduces the residual to AIM of what is asked, within these parts.
 AIM, TIGHTEST, LOOSEST = 0.1, 1e-7, 0.3
 # The part of the tolerance that equilibrium may reach; and that of the forces that meet which is rounding.
-EQUILIBRIUM, BALANCED = 0.3, 4 * np.finfo(float).eps
+EQUILIBRIUM, BALANCED = 0.3, 4 * EPS
 
 
 class CombinationSystem:

@@ -26,10 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array, Vector
-
-# The square of a residual that is zero.
-TINY = float(np.finfo(float).tiny)
+from contactqp.model.arrays import TINY, Array, Vector
 
 
 class Projections(Protocol):

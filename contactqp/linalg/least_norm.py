@@ -22,12 +22,12 @@ from contactqp.linalg.nonnegative import CARRIES, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
 from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, solved_on, with_right_signs
-from contactqp.model.arrays import Array, Indices, Vector, refuse_late
+from contactqp.model.arrays import EPS, Array, Indices, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# What double precision cannot tell from zero, relative to the lengths or forces that meet.
-WITHIN_ROUNDING = 8 * np.finfo(float).eps
+# What double precision cannot tell from zero, relative to the lengths or forces that meet, or to the terms of a sum.
+WITHIN_ROUNDING = 8 * EPS
 # Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
 SHIFT_CORRECTIONS = 3
 # Forces that are so many times those that act press against each other.

@@ -43,7 +43,7 @@ import scipy.sparse as sp
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, connected_parts
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
 
@@ -103,16 +103,18 @@ WITHIN_REACH = 10.0
 BESIDE_OTHERS = 1e-9
 # Lengths are nothing up to a tolerance (1e-9) of the longest one at most, where the intrinsic size allows a thousandth.
 OF_ALL_LENGTHS = 1e3
+# Forces and lengths of this part of the intrinsic size of problem and answer are nothing, unless another is asked for.
+NOTHING_BY_DEFAULT = 1e-12
 # A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
 ROUNDING_OF_LENGTH = 1e-14
 # Up to 1e-6, as CLOSED, where that is rounding of what moves around them.
 OF_NEAR_LENGTHS = 1e6
 # What rounding a displacement to doubles makes of forces and lengths, relative to |K||u| and |E||u|: half a rounding of
 # every entry, and the signs are not all alike.
-HELD_BY_DOUBLES = float(np.finfo(float).eps)
+HELD_BY_DOUBLES = EPS
 # A load on an unknown that neither stiffness nor a row touches is rounding up to this part of the largest load: such as
 # the component of a force across a bar, F sin(pi).
-ROUNDING_OF_LOADS = 64 * float(np.finfo(float).eps)
+ROUNDING_OF_LOADS = 64 * EPS
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:

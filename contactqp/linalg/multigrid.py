@@ -27,7 +27,7 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.pardiso import products
-from contactqp.model.arrays import Array, Indices, Mask, refuse_late
+from contactqp.model.arrays import EPS, Array, Indices, Mask, refuse_late
 
 # Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
 # every set of rows, and beyond some hundred that costs more than another level does.
@@ -135,7 +135,7 @@ class Hierarchy:
 def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (p,) and eigenvectors (q, p) of E a = value S a on the range of S, the least first."""
     values, vectors = np.linalg.eigh(size)
-    kept = values > np.finfo(float).eps * len(size) * values[-1]
+    kept = values > EPS * len(size) * values[-1]
     basis = vectors[:, kept] / np.sqrt(values[kept])
     ratios, coordinates = np.linalg.eigh(basis.T @ ((energy + energy.T) / 2) @ basis)
     return ratios, basis @ coordinates
@@ -244,7 +244,7 @@ def largest_eigenvalue(
         w -= alphas[-1] * v
         beta = float(np.sqrt(dot(w, w)))
         betas.append(beta)
-        if beta <= np.finfo(float).eps * count * abs(alphas[0]):
+        if beta <= EPS * count * abs(alphas[0]):
             break
         before, v = v, w / beta
     return float(ALLOWANCE * eigvalsh_tridiagonal(np.array(alphas), np.array(betas[:-1]))[-1])

@@ -211,8 +211,10 @@ def highs(cost: Vector, **constraints: Any) -> Any:
     return found if found.x is not None and found.status == 0 else None
 
 
-# Rows that are combinations of others to this part of the largest depend on them; of shared forces less is none.
-DEPENDENT_ROWS, SEEN = 1e-10, 1e-6
+# Rows of unit length that are combinations of others to this part of the largest singular value depend on them.
+DEPENDENT_ROWS = 1e-10
+# Of shared forces this part of the largest is none.
+SEEN = 1e-6
 
 
 class Sharing:

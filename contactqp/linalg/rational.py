@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from contactqp.errors import BackendMissing
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import EPS, Array
 
 try:
     from flint import fmpq, fmpq_mat, nmod_mat
 except ImportError:
     raise BackendMissing("exact answers need python-flint: pip install python-flint") from None
 
-EPS = float(np.finfo(float).eps)
 PRIMES = (2**61 - 1, 2**62 - 57, 2**63 - 25, 2**64 - 59)
 
 

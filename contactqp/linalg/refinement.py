@@ -13,7 +13,7 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
-from contactqp.linalg.extended import EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
+from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED, imbalance
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
@@ -25,7 +25,7 @@ from contactqp.linalg.measures import (
     row_sizes,
 )
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
+from contactqp.model.arrays import EPS, Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -34,7 +34,7 @@ MAX_SWEEPS = 12
 # Forces of this part of the largest are what refinement leaves of zero.
 INVISIBLE = 1e-22
 # No solve in double precision leaves less of a correction.
-LEAST_CONTRACTION = float(np.finfo(float).eps)
+LEAST_CONTRACTION = EPS
 # Corrections of this part of the answer are rounding of twice double precision, and measure no contraction.
 ROUNDED_AWAY = 2.0**-90
 # Corrections in other directions than the one that the contraction was measured in may contract so much less.
@@ -49,7 +49,7 @@ SMALL = 1e-3
 CARRIED, NO_SHARE = 1e-9, 1e-12
 # A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
 # it, which no refinement would see.
-SLIGHT = 2**10 * float(np.finfo(float).eps)
+SLIGHT = 2**10 * EPS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -226,11 +226,11 @@ class _CorrectionSize:
         The rigid part of a displacement strains nothing and counts for the latter alone. A displacement that is small
         beside forces, as they act past weak springs, decides on gaps on which these do work: there it counts as much.
         """
-        if not EPS * whole < size <= NEGLIGIBLE * whole:
-            return size <= EPS * whole
+        if not FINE_EPS * whole < size <= NEGLIGIBLE * whole:
+            return size <= FINE_EPS * whole
         u, force, tie = answer
         moved = self._moved(u)
-        if 0 < moved < SMALL * whole and size > max(NEGLIGIBLE * moved / whole, EPS) * moved:
+        if 0 < moved < SMALL * whole and size > max(NEGLIGIBLE * moved / whole, FINE_EPS) * moved:
             return False
         if not self._rigid.count:
             return True

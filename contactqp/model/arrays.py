@@ -48,6 +48,8 @@ TOO_FAR_APART = (
 
 # The least double with all its digits.
 TINY = float(np.finfo(float).tiny)
+# The rounding of a double is at most half of this part of it.
+EPS = float(np.finfo(float).eps)
 
 # Sparse solvers count rows and columns with 32 bits.
 LARGEST_INDEX = 2**31 - 1

@@ -24,9 +24,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.model.arrays import Array, Indices
+from contactqp.model.arrays import EPS, Array, Indices
 
-EPS = float(np.finfo(float).eps)
 # Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.
 EXACT = 256 * EPS
 # Motions come from singular vectors: every entry carries so much of the largest.

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import WORTHWHILE, Array, Vector, on_one_thread, refuse_places_outside
+from contactqp.model.arrays import EPS, WORTHWHILE, Array, Vector, on_one_thread, refuse_places_outside
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
@@ -345,7 +345,7 @@ def _refuse_indefinite(K: Array) -> None:
     eigenvalues = eigenvalues_of(scaled)
     # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
     # SYMMETRY_TOLERANCE.
-    if eigenvalues[0] < -64 * len(K) * np.finfo(float).eps * max(eigenvalues[-1], 1.0):
+    if eigenvalues[0] < -64 * len(K) * EPS * max(eigenvalues[-1], 1.0):
         direction = np.linalg.eigh(scaled)[1][:, 0] / scale
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "

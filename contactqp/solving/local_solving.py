@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.local_certificate import judged, with_uniqueness
+from contactqp.certificate.uniqueness import NOTHING
 from contactqp.errors import (
     InvalidProblem,
     NoEquilibrium,
@@ -221,8 +222,6 @@ def _solution(
     )
 
 
-# Of the typical velocity, what rounding may leave of another.
-NOTHING = 1e-12
 # Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
 SAME = 1e-8
 

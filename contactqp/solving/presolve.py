@@ -34,7 +34,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import bounds_of_unknowns
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.iteration import contacts_are_many
-from contactqp.model.arrays import Array, Indices, Vector, tell
+from contactqp.model.arrays import EPS, Array, Indices, Vector, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings
@@ -127,7 +127,7 @@ def never_close(problem: ContactProblem) -> Indices:
     sums = sp.csr_matrix((farthest, E.indices, E.indptr), shape=E.shape)
     totals[filled] = np.asarray(sums.sum(axis=1)).ravel()[filled]
     sizes[filled] = np.asarray(abs(sums).sum(axis=1)).ravel()[filled]
-    rounding = (lengths + ROUNDINGS) * np.finfo(float).eps * sizes
+    rounding = (lengths + ROUNDINGS) * EPS * sizes
     return np.flatnonzero((lengths > 1) & np.isfinite(totals) & (totals + rounding < problem.gap))
 
 

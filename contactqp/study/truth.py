@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import EPS, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array
 from contactqp.model.solution import GLOBALLY, Solution
@@ -18,7 +18,7 @@ from contactqp.oracle.assertions import largest_of, weights
 from contactqp.solving.solve import solve
 
 # The rounding error of a chain of a few dozen additions, relative to the size of its terms.
-SUMS_ROUND = 64 * float(np.finfo(float).eps)
+SUMS_ROUND = 64 * EPS
 # True errors above this are wrong: the certificate's own tolerance of errors.
 ERROR_TOLERANCE = 1e-6
 # Values of `Errors.measure` where errors are not relative.

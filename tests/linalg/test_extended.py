@@ -93,7 +93,7 @@ def test_residuals_are_right_to_twice_double_precision_in_one_array_and_row_by_r
     for one, exact in zip(found, expected, strict=True):
         assert one.hi.size
         for hi, lo, (value, size) in zip(one.hi, one.lo, exact, strict=True):
-            assert abs(Fraction(float(hi)) + Fraction(float(lo)) - value) <= 4 * extended.EPS * size
+            assert abs(Fraction(float(hi)) + Fraction(float(lo)) - value) <= 4 * extended.FINE_EPS * size
             assert hi + lo == hi
 
 
@@ -109,7 +109,7 @@ def test_a_slight_change_of_a_displacement_changes_its_elastic_forces_by_a_produ
     change = 1e-16 * u.hi * random.normal(size=7)
     found = elastic_after(problem, u.double(), left.elastic, change)
     for one, (value, size) in zip(-found, missing(np.zeros(7), problem.stiffness, u + change), strict=True):
-        assert abs(Fraction(float(one.hi)) + Fraction(float(one.lo)) - value) <= 16 * extended.EPS * size
+        assert abs(Fraction(float(one.hi)) + Fraction(float(one.lo)) - value) <= 16 * extended.FINE_EPS * size
     assert elastic_after(problem, u.double(), left.elastic, 1e3 * change) is None
 
 

@@ -16,7 +16,7 @@ from contactqp.analysis.large.deformation import Forces
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.factorization import factorise
-from contactqp.model.arrays import Array, Index, Mask, Vector, inverse_root
+from contactqp.model.arrays import EPS, Array, Index, Mask, Vector, inverse_root
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 
@@ -170,7 +170,7 @@ def positive_semidefinite(K: Any) -> bool:
     if K.shape[0] <= DENSE_SIZE:
         scale = inverse_root(diagonal)
         eigenvalues = np.linalg.eigvalsh(K.toarray() * np.outer(scale, scale))
-        return bool(eigenvalues[0] >= -64 * len(scale) * np.finfo(float).eps * max(eigenvalues[-1], 1.0))
+        return bool(eigenvalues[0] >= -64 * len(scale) * EPS * max(eigenvalues[-1], 1.0))
     try:
         factorise(K)
     except InvalidProblem:

@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.analysis.large.deformation import Forces, Imbalance, Instant, LoadedBody, NewtonIteration
 from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.model.arrays import Vector, refuse_late
+from contactqp.model.arrays import EPS, Vector, refuse_late
 
 # Armijo's part of the slope, and the shortest fraction of a step that is tried.
 SUFFICIENT = 1e-4
@@ -125,7 +125,7 @@ def _comes_to_rest(start: Vector, new: Instant, target: Target) -> bool:
     """
     if target.load.any() or target.anchor is not None or not start.any():
         return False
-    return bool(np.max(abs(new.displacement)) <= np.finfo(float).eps ** 2 * np.max(abs(start)))
+    return bool(np.max(abs(new.displacement)) <= EPS**2 * np.max(abs(start)))
 
 
 def _not_converged(iterations: list[NewtonIteration], reason: str) -> NotConverged:

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from contactqp.analysis.history import Energies, Event, History, contact_changes
 from contactqp.errors import NotConverged
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Answer, HoldsAnswer, Solution
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # imported where something deforms: this module also says wha
     from contactqp.elements.deformable import ContactGeometry, Deformable, LinearisedContacts
 
 # Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
-ROUNDING_OF_INTERNAL_FORCES = 64 * np.finfo(float).eps
+ROUNDING_OF_INTERNAL_FORCES = 64 * EPS
 
 
 @dataclass(frozen=True, eq=False)

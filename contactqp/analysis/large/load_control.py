@@ -22,7 +22,7 @@ from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.elements.deformable import ContactGeometry, LinearisedContacts
 from contactqp.errors import NotCertified, NotConverged
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.solution import Answer, Work
 
 # A step that does not converge is halved, its halves likewise, at most so often.
@@ -351,6 +351,6 @@ def balance_with_anchors(
         end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
     except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
         end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
-    fraction = np.clip(gap / np.maximum(gap - reached, np.finfo(float).tiny), 0.0, 1.0)
+    fraction = np.clip(gap / np.maximum(gap - reached, TINY), 0.0, 1.0)
     anchor[closes] += (fraction[:, None] * (end - position))[closes]
     return solve_with(loaded, anchor), anchor

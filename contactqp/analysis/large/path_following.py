@@ -26,7 +26,7 @@ from contactqp.analysis.large.path_equations import (
     Unknown,
 )
 from contactqp.errors import NotConverged
-from contactqp.model.arrays import Mask, Vector
+from contactqp.model.arrays import EPS, Mask, Vector
 from contactqp.model.solution import Answer
 
 # Halvings of a step that fails.
@@ -307,7 +307,7 @@ class PathFollower:
             point = self._to(pace, fraction, finished=False)
             return self.path.onwards(point, self._closed, self._direction).load_factor
 
-        root = float(brentq(rate, 0.0, reach, xtol=1e-14 * part, rtol=8 * np.finfo(float).eps))
+        root = float(brentq(rate, 0.0, reach, xtol=1e-14 * part, rtol=8 * EPS))
         return self._limit_at(self._to(pace, root, finished=False), self._direction, True, len(self.solutions) - 1)
 
     def _limit_at(self, point: PathPoint, arriving: Direction, smooth: bool, after: int) -> LimitPoint:

@@ -18,7 +18,7 @@ from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.errors import ContactQPError, Unsupported, counted
 from contactqp.model.arguments import checks
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Answer, Certificate, Solution
@@ -30,7 +30,7 @@ BLOCK = 256
 # Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
 SLIPS = PENETRATES = 1e-9
 # A state is what its scheme makes of a step's answer to this part, and to the rounding of displacements' differences.
-SAME, ROUNDED = 1e-9, 64 * np.finfo(float).eps
+SAME, ROUNDED = 1e-9, 64 * EPS
 # Energy that comes from nowhere is noted from this part of what was there or was put in on: central differences, which
 # keep it on average, fluctuate by a few thousandths where vibrations are resolved.
 GROWS = 0.05

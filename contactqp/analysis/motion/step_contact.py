@@ -30,7 +30,7 @@ import numpy as np
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import DenseCholesky
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -42,7 +42,7 @@ DEPENDENT_TIES = 1e-10
 # to some thousand roundings, and what is tolerated of residuals is a thousand times as much.
 AT_REST = 1e-12
 # A force whose own effect on its contact is this part of all that moves it there is rounding.
-DUST = 16 * np.finfo(float).eps
+DUST = 16 * EPS
 # A contact with friction that is less than its bound by this part sticks.
 STICKS = 1e-12
 # A slip that should be none is sharpened beyond this part of the lengths that meet there.

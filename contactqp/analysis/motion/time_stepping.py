@@ -31,7 +31,16 @@ from contactqp.errors import (
     TimeStepWarning,
     warn,
 )
-from contactqp.linalg.measures import HELD_BY_DOUBLES, beyond, directions, lengths, ratio, reciprocal, row_sizes
+from contactqp.linalg.measures import (
+    HELD_BY_DOUBLES,
+    NOTHING_BY_DEFAULT,
+    beyond,
+    directions,
+    lengths,
+    ratio,
+    reciprocal,
+    row_sizes,
+)
 from contactqp.model.arrays import CERTIFY, METHOD, Array, Indices, Mask, Vector, in_any_time, refuse_late, stage
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
@@ -39,8 +48,6 @@ from contactqp.model.solution import Work
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
-# Forces and lengths that are this part of the intrinsic size are nothing, as for `certify` by default.
-NOTHING = 1e-12
 Block = Array  # one row a step
 
 
@@ -144,7 +151,7 @@ class StepJudge:
         if self._T is not None:
             residual, F = residual - self._T.T @ friction, F + abs(self._T).T @ abs(friction)
         whole = self._intrinsic_size(load, x)
-        none = np.maximum(NOTHING * whole * self._unit[:, None], HELD_BY_DOUBLES * inner)
+        none = np.maximum(NOTHING_BY_DEFAULT * whole * self._unit[:, None], HELD_BY_DOUBLES * inner)
         room, length = gap - self._N @ x, N @ size + abs(gap)
         room_measure = ratio(beyond(abs(room), self._no_length("normal", length, whole)), length)
         push, held = self._forces(normal, F, none), np.zeros_like(tie)
@@ -184,7 +191,7 @@ class StepJudge:
 
     def _no_length(self, name: str, length: Block, whole: Vector) -> Block:
         """Return the lengths of rows below which they count as none, beside those that meet there."""
-        return np.maximum(NOTHING * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
+        return np.maximum(NOTHING_BY_DEFAULT * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
 
     def _forces(self, force: Block, F: Block, none: Block) -> Block:
         """Return max_j |E_ij l_i| / F_j, (m, steps), where negligible forces count as none."""

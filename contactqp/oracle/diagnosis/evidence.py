@@ -17,7 +17,7 @@ import numpy as np
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.dense import unknown_scale
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
@@ -415,7 +415,7 @@ class Evidence:
 
 def _largest(values: Any) -> float:
     """Return the largest size, at least the least normal number, that one can divide by."""
-    return max(float(np.max(abs(np.asarray(values)), initial=0.0)), float(np.finfo(float).tiny))
+    return max(float(np.max(abs(np.asarray(values)), initial=0.0)), TINY)
 
 
 def _relative(difference: Any, right: Any, mine: Any, floor: float) -> float:

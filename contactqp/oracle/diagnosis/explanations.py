@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.measures import directions, lengths
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import TINY, Array, Mask, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
@@ -213,7 +213,7 @@ def _other_cone(evidence: Evidence, sliding: Mask, size: Vector, bound: Vector, 
     problem, force = evidence.problem, evidence.answer.friction_force
     assert problem.friction is not None
     assert force is not None
-    ratio = size[sliding] / np.maximum(bound[sliding], np.finfo(float).tiny)
+    ratio = size[sliding] / np.maximum(bound[sliding], TINY)
     factor = float(np.median(ratio))
     if abs(factor - 1) > OBEYS and np.max(abs(ratio - factor)) <= OBEYS * factor:
         other = factor * problem.friction

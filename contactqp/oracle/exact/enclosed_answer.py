@@ -12,13 +12,12 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
-from contactqp.model.arrays import Indices
+from contactqp.model.arrays import EPS, Indices
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
 from contactqp.oracle.exact.rational_answer import Asked, symmetrised
 from contactqp.oracle.exact.refinement import (
-    EPS,
     SAFE,
     Fixed,
     FixedMatrix,

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, Solution
 from contactqp.solving.solve import solve
@@ -127,7 +127,6 @@ class FixedMatrix:
 # same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in
 # the spirit of Rump (2006), BIT 46, 433, a posteriori.
 
-EPS = float(np.finfo(float).eps)
 # Sums of positive numbers in floats, of up to 1e8 terms, are this far from the truth at most.
 SAFE = 1 + 1e-7
 # Multiplications of the product L D L' beyond which it is not formed.

@@ -17,7 +17,7 @@ from contactqp.exchange.deck.reading import read_deck_model
 from contactqp.exchange.files import Ledger, Path, naming
 from contactqp.exchange.processes import run_calculix
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import Array, Index, Vector, own_floating_point
+from contactqp.model.arrays import EPS, TINY, Array, Index, Vector, own_floating_point
 from contactqp.model.names import Units, read_units
 from contactqp.oracle.foreign.crosscheck_forces import ForeignAnswer, PairNodes, pair_nodes, reference_forces
 from contactqp.oracle.foreign.crosscheck_verdict import (
@@ -39,7 +39,7 @@ MOVED = 10.0
 # A pair whose forces are below this part of what the tolerance is of all forces has none.
 NEGLIGIBLE = 1e-3
 # What rounding of coordinates leaves of gaps, in units of the largest one.
-ROUNDING = 64 * float(np.finfo(float).eps)
+ROUNDING = 64 * EPS
 # Gauss points of faces are more than the nodes of these, so that their frictional forces are not unique: of more points
 # than this they are found after minutes, or never.
 MOST_POINTS = 300
@@ -296,7 +296,7 @@ class _Judging:
         assembly = self.deck.assembly
         held = ~np.isnan(assembly.prescribed)
         rounding = ROUNDING * float(assembly.stiffness.diagonal().max()) * float(abs(assembly.points).max())
-        sizes = [rounding / max(NEGLIGIBLE * self.tolerance, float(np.finfo(float).tiny))]
+        sizes = [rounding / max(NEGLIGIBLE * self.tolerance, TINY)]
         sizes += [float(np.linalg.norm(self.deck.assembly.load)), float(np.linalg.norm(self.answer.forces[held]))]
         return max(*sizes, *(float(np.linalg.norm(force.sum(axis=0))) for force in self._truth), 0.0)
 

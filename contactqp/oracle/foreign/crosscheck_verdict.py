@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.elements.surface import Surface, diameters, kind_of
 from contactqp.errors import counted
 from contactqp.exchange.files import Ledger
-from contactqp.model.arrays import Array, Index, Mask, Vector
+from contactqp.model.arrays import TINY, Array, Index, Mask, Vector
 from contactqp.model.names import Units
 from contactqp.model.problem_data import ReadOnly
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
@@ -103,7 +103,7 @@ def _over_the_edge(judged: PairNodes) -> Mask:
     ordered, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
     ends = master.points[ordered[count == 1]]  # (e, 1 or 2, d)
     start, along = ends[:, 0], ends[:, -1] - ends[:, 0]
-    length = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    length = np.maximum((along**2).sum(axis=1), TINY)
     size = float(diameters(master.points[master.facets]).max())
     found = np.zeros(len(judged.nodes), dtype=bool)
     for i, row in enumerate(judged.row.tolist()):

@@ -27,7 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.measures import lengths
-from contactqp.model.arrays import Array, Vector, time_is_up
+from contactqp.model.arrays import EPS, Array, Vector, time_is_up
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
 # The regularisation starts from, stays above, and is given up beyond these; contacts have a compliance of one.
@@ -37,7 +37,7 @@ STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 # By so much the regularisation grows; by the second where it has made no difference to a step, to this part.
 GROWTH_OF_REGULARISATION, LEAP, ALIKE = 30.0, 1e3, 1e-3
 # A residual that is rounding; one that is this part of the forces falls no further where a step does not lower it.
-ROUNDING_OF_MAP, ROUNDED = 1e-15, 32 * float(np.finfo(float).eps)
+ROUNDING_OF_MAP, ROUNDED = 1e-15, 32 * EPS
 
 
 def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING_OF_MAP) -> Iterate:

@@ -23,6 +23,7 @@ from contactqp.certificate.certificate import holds
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, compliance_of, condensed_frictional_rows
+from contactqp.linalg.dense import BALANCED
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
@@ -43,8 +44,6 @@ from contactqp.solving.methods import Method, Settings
 CONFLICT = 1e-9
 # Rows with fewer entries than this part of all are multiplied as sparse ones.
 FEW_FELT = 0.1
-# A load that does this part of the work that its entries do, added up, drives a rigid motion by rounding only.
-BALANCED = 1e-12
 
 
 class ContactOperator:

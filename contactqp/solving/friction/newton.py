@@ -23,7 +23,7 @@ import numpy as np
 from contactqp.certificate.certificate import holds
 from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.dense import OPERATOR_ROUNDING, unknown_scale
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, answer_in, without_noise
 from contactqp.linalg.iteration import iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
@@ -43,8 +43,6 @@ DOUBTFUL = 1e-11
 # What fails by more than this part of the answer itself is no rounding of it: on bodies that next to nothing holds, the
 # displacement without contact forces, in which ROUNDING_OF_SIGNS is measured, may exceed the answer by all its digits.
 DROWNED = 1e-6
-# A slip of this part of the lengths that meet is none.
-STILL = 1e-12
 # Suggestions in a row, and changes of one contact each for every contact, before it is given up.
 MAX_STEPS = 60
 CHANGES_A_CONTACT = 4
@@ -209,7 +207,7 @@ def combination_of(problem: ContactProblem, answer: Answer) -> Status:
         raise ValueError("combination of a problem without friction")
     origin, u = problem.slip_origin.ravel(), answer.displacement
     slip = problem.tangent @ u - origin
-    still = ratio(abs(slip), lengths_that_meet(problem, problem.tangent, origin, u)) <= STILL
+    still = ratio(abs(slip), lengths_that_meet(problem, problem.tangent, origin, u)) <= OPERATOR_ROUNDING
     status = np.where(still, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
     return np.where(answer.normal_force > 0, status, OPEN).astype(np.int8)
 

@@ -21,7 +21,7 @@ from contactqp.certificate.multigrid_bounds import balanced_forces, dual_norm, f
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
-from contactqp.model.arrays import Indices, Mask, Vector, tell
+from contactqp.model.arrays import EPS, Indices, Mask, Vector, tell
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 
@@ -37,7 +37,7 @@ SINGLE_LAYERS, MOST_LAYERS = 2, 64
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13
 # What is left of the forces that meet at an unknown when their rounding is all that is left.
-ROUNDING_OF_RESIDUALS = 4 * np.finfo(float).eps
+ROUNDING_OF_RESIDUALS = 4 * EPS
 # What the certificate asks of the equilibrium, whatever the method is asked for.
 LOOSEST = 1e-9
 # A load of this part of what the known displacement takes is none beside the rounding of that: start from rest.

@@ -14,12 +14,12 @@ from contactqp.errors import InvalidProblem, NotConverged, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.factorization import null_space
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
 
 # What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
-TEXTBOOK_ROUNDING = 1e3 * float(np.finfo(float).eps)
+TEXTBOOK_ROUNDING = 1e3 * EPS
 # Values of ties that repeat others are often decimals: they agree to this part of their size, or contradict.
 CONTRADICTION = 1e-9
 
@@ -263,7 +263,7 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
     norm = float(np.max(columns * (size.T @ rows)))
     with np.errstate(all="ignore"):
         bound = norm * _norm_of_inverse(matrix, solve, rows, columns)
-    return not bound * n * np.finfo(float).eps < 1
+    return not bound * n * EPS < 1
 
 
 def _norm_of_inverse(matrix: Matrix, solve: Solver, rows: Vector, columns: Vector) -> float:
@@ -351,5 +351,5 @@ class FloatingBodies:
         moved = self.unit(rows) @ self.rigid
         shared = (abs(moved) > NEGLIGIBLE) + abs(np.linalg.pinv(moved.T, rcond=PASSED_ON))
         length = np.linalg.norm((rows @ sp.diags(self.scale)).toarray(), axis=1)
-        noise = 16 * np.finfo(float).eps * (shared @ (abs(self.rigid).T @ (self.scale * forces)))
+        noise = 16 * EPS * (shared @ (abs(self.rigid).T @ (self.scale * forces)))
         return np.asarray(noise / np.where(length > 0, length, 1.0))

@@ -25,7 +25,7 @@ import numpy as np
 
 from contactqp.errors import NotConverged
 from contactqp.linalg.measures import row_sizes
-from contactqp.model.arrays import Indices, Mask, Vector, stated_limit
+from contactqp.model.arrays import EPS, Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
@@ -228,7 +228,7 @@ class Sizes:
         """
         diagonal = self.stiffness.diagonal()
         softness = 1.0 / np.where(diagonal > 0, diagonal, np.inf)
-        shaken = 16 * np.finfo(float).eps * (self.stiffness @ (softness * forces))
+        shaken = 16 * EPS * (self.stiffness @ (softness * forces))
         moved = softness * shaken
         for rows, limits, held in holds:
             moved = moved + self._moved_by(rows, limits, held, displacement)
@@ -244,7 +244,7 @@ class Sizes:
         compliance = rows.power(2) @ softness
         lengths = np.where(held, sizes.lengths(np.abs(displacement)) + np.abs(limits), 0.0)
         pulled = sizes.forces(lengths / np.where(compliance > 0, compliance, 1.0))
-        return np.asarray(16 * np.finfo(float).eps * softness * pulled)
+        return np.asarray(16 * EPS * softness * pulled)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,14 +21,14 @@ import scipy.sparse as sp
 
 from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, SchemeEntry, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import EPS, Vector
 
 # A rebound of this part of what the forces of a step change is lost in their rounding.
 NO_REBOUND = 1e-6
 # Up to so many unknowns that contacts touch their rows are kept dense.
 MOST_DENSE = 60
 # A predicted gap that is this part of its own lengths is none.
-TOUCHING = 64 * np.finfo(float).eps
+TOUCHING = 64 * EPS
 
 
 class MoreauJean(Scheme):
