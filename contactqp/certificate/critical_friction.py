@@ -458,10 +458,15 @@ def coupling(force: Array, slip: Array, mu: Vector) -> float:
     force, slip : what a unit of each component of y makes of normal forces d_N (m, p) and slips e (m, d-1, p)
     mu : coefficients of friction (m,)
     """
-    sizes = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=(1, 2))
-    coupled = (mu > 0) & (sizes[0] > 0) & (sizes[1] > 0)
+    pushed, slid = np.linalg.norm(force, axis=1), np.linalg.norm(slip, axis=(1, 2))
+    coupled = (mu > 0) & (pushed > 0) & (slid > 0)
+    mu, force, slip, least = mu[coupled], force[coupled], slip[coupled], np.inf
     if not coupled.any():
         return 0.0
-    weight, mu, force, slip = sizes[1][coupled] / sizes[0][coupled], mu[coupled], force[coupled], slip[coupled]
-    square = force.T @ ((mu * weight)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / weight, slip, slip)
-    return float(np.linalg.eigvalsh(square)[-1]) / 2 if np.all(np.isfinite(square)) else np.inf
+    # Weights c_i by which both parts are alike, measured by the largest slip and by the mean one.
+    for size in (np.linalg.norm(slip, ord=2, axis=(1, 2)), slid[coupled]):
+        c = size / pushed[coupled]
+        square = force.T @ ((mu * c)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / c, slip, slip)
+        if np.all(np.isfinite(square)):
+            least = min(least, float(np.linalg.eigvalsh(square)[-1]) / 2)
+    return least
