@@ -1,147 +1,40 @@
-"""The page in a real browser without a network: Chromium, headless, from a file."""
+"""The page in a real browser without a network: what it does when it is read, searched, filtered and linked to."""
 
 from __future__ import annotations
 
-import base64
 import json
 import re
-import shutil
-from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from contactqp.study.conclusion import PENALTY, WHICH, WRONG
-from contactqp.study.page import render as pages
-from contactqp.study.page.case_view import bars_of
-from contactqp.study.page.render import render_study
-from contactqp.study.stability.axis_problem import Axis
-from contactqp.study.stability.stability_cells import AXES
-from contactqp.study.stability.stability_report import stability_sections, write_stability
-from contactqp.study.telling import telling_chart
-from tests.study.charts_examples import report
-from tests.study.page.samples import Part, chart, hostile
+from tests.study.page.chromium import OVERVIEW, complaints, count, find, needs_chromium, open_all, traces, wait
 
-pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
-for package in pages.NEEDED:
-    pytest.importorskip(package)
-
-CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None or DRIVER is None, reason="chromium and chromedriver are not installed"
-)
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--force-prefers-reduced-motion",
-)
-# Texts need this contrast with what is behind them (WCAG 2.2, level AA); large ones 3.
-CONTRAST, LARGE_CONTRAST = 4.5, 3.0
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> str:
-    data = hostile()
-    charts = {case.name: (chart(data.rows_of(case.name)),) for case in data.cases}
-    file: Path = tmp_path_factory.mktemp("page") / "index.html"
-    file.write_text(pages.render(data, (chart(data.rows, "all"),), charts), encoding="utf-8")
-    return file.as_uri()
-
-
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """One browser for the module, with a profile of its own."""
-    from selenium import webdriver
-    from selenium.webdriver.chrome.options import Options
-    from selenium.webdriver.chrome.service import Service
-
-    options = Options()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    yield driver
-    driver.quit()
-
-
-@pytest.fixture
-def browser(session: Any, address: str) -> Any:
-    """The page as it opens, 1280 by 1000 pixels, light."""
-    _look(session, 1280, "light")
-    session.get(address)
-    return session
-
-
-def _look(browser: Any, width: int, scheme: str) -> None:
-    size = dict(width=width, height=1000, deviceScaleFactor=1, mobile=False)
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    media = dict(features=[dict(name="prefers-color-scheme", value=scheme)])
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
-
-
-def _wait(browser: Any, script: str) -> Any:
-    from selenium.webdriver.support.ui import WebDriverWait
-
-    return WebDriverWait(browser, 10, 0.05).until(lambda b: b.execute_script(f"return {script}"))
-
-
-def _find(browser: Any, selector: str) -> Any:
-    return browser.find_element("css selector", selector)
-
-
-def _count(browser: Any, selector: str) -> int:
-    """How many of these are seen."""
-    seen = "[...document.querySelectorAll(arguments[0])].filter((e) => e.checkVisibility()).length"
-    return int(browser.execute_script(f"return {seen}", selector))
-
-
-def _open_all(browser: Any) -> None:
-    browser.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-
-
-def _traces(plot: str) -> str:
-    return f"{plot} .scatterlayer .trace"
-
-
-OVERVIEW = "#all-all .plot"
+pytestmark = needs_chromium
 
 
 def test_it_opens_without_errors_and_without_the_network(browser: Any) -> None:
-    _open_all(browser)
-    _wait(browser, "document.querySelectorAll('.js-plotly-plot').length > 0")
-    assert _complaints(browser) == []
+    open_all(browser)
+    wait(browser, "document.querySelectorAll('.js-plotly-plot').length > 0")
+    assert complaints(browser) == []
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     sent = [event["params"] for event in events if event["method"] == "Network.requestWillBeSent"]
     asked = [request["request"]["url"] for request in sent if request["documentURL"].startswith("file:")]
     assert asked
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
     browser.execute_script("fetch('http://127.0.0.1:9/').catch(() => {})")
-    assert any("Content Security Policy" in text for text in _complaints(browser))  # refused, and noticed
-
-
-def _complaints(browser: Any) -> list[str]:
-    """What the console says since it was read last."""
-    return [entry["message"] for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+    assert any("Content Security Policy" in text for text in complaints(browser))  # refused, and noticed
 
 
 @pytest.mark.slow
 def test_charts_are_drawn_when_they_are_near(browser: Any) -> None:
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
     drawn = "document.querySelectorAll('.case')[1].querySelectorAll('.js-plotly-plot').length"
     assert browser.execute_script(f"return {drawn}") == 0
     browser.execute_script(
         "const one = document.querySelectorAll('.case')[1];one.open = true; one.querySelector('.plot').scrollIntoView()"
     )
-    _wait(browser, f"{drawn} === 1")
+    wait(browser, f"{drawn} === 1")
     title = browser.execute_script("return document.querySelector('#all-all .xtitle').textContent")
     assert title == "run time [ms]"
 
@@ -149,50 +42,50 @@ def test_charts_are_drawn_when_they_are_near(browser: Any) -> None:
 def test_hovering_shows_the_numbers(browser: Any) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
 
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
-    point = _find(browser, f"{OVERVIEW} .points path")
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
+    point = find(browser, f"{OVERVIEW} .points path")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", point)
     ActionChains(browser).move_to_element(point).perform()
-    said = _wait(browser, f"document.querySelector('{OVERVIEW} .hovertext')?.textContent")
+    said = wait(browser, f"document.querySelector('{OVERVIEW} .hovertext')?.textContent")
     assert re.search(r"[\d.]+ ms, error [\d.]+e[-+]\d+", said)
 
 
 def test_cases_are_found_by_words(browser: Any) -> None:
-    _find(browser, "#filters summary").click()
-    assert _count(browser, ".case") == 2
-    _find(browser, "#search").send_keys("RIGID wall")
-    _wait(browser, "document.querySelectorAll('.case:not([hidden])').length === 1")
-    assert _find(browser, "#shown").text == "1 of 2 cases shown"
-    assert _count(browser, ".contents li") == 1
-    _find(browser, "#search").send_keys(" nothing like it")
-    _wait(browser, "!document.getElementById('none').hidden")
-    assert _count(browser, ".case") == 0
-    _find(browser, "button[type=reset]").click()
-    _wait(browser, "document.querySelectorAll('.case:not([hidden])').length === 2")
+    find(browser, "#filters summary").click()
+    assert count(browser, ".case") == 2
+    find(browser, "#search").send_keys("RIGID wall")
+    wait(browser, "document.querySelectorAll('.case:not([hidden])').length === 1")
+    assert find(browser, "#shown").text == "1 of 2 cases shown"
+    assert count(browser, ".contents li") == 1
+    find(browser, "#search").send_keys(" nothing like it")
+    wait(browser, "!document.getElementById('none').hidden")
+    assert count(browser, ".case") == 0
+    find(browser, "button[type=reset]").click()
+    wait(browser, "document.querySelectorAll('.case:not([hidden])').length === 2")
 
 
 def test_methods_variants_and_verdicts_are_hidden_in_charts_and_tables(browser: Any) -> None:
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
-    _find(browser, "#filters summary").click()
-    penalties = _count(browser, ".rows tr[data-method=penalty]")
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
+    find(browser, "#filters summary").click()
+    penalties = count(browser, ".rows tr[data-method=penalty]")
     assert penalties > 0
-    _find(browser, "input[name=method][value=penalty]").click()
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 3")
-    assert _count(browser, "tr[data-method=penalty]") == 0
-    assert _count(browser, "tr[data-method=osqp]") > 0
-    _find(browser, "input[name=variant][value=raw]").click()
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 2")
-    assert _count(browser, "tr[data-variant=raw]") == 0
-    _find(browser, "fieldset[data-facet=verdict] button[data-all='']").click()
-    _wait(browser, "!document.getElementById('none').hidden")
-    _find(browser, "button[type=reset]").click()
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
-    assert _count(browser, ".rows tr[data-method=penalty]") == penalties
+    find(browser, "input[name=method][value=penalty]").click()
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 3")
+    assert count(browser, "tr[data-method=penalty]") == 0
+    assert count(browser, "tr[data-method=osqp]") > 0
+    find(browser, "input[name=variant][value=raw]").click()
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 2")
+    assert count(browser, "tr[data-variant=raw]") == 0
+    find(browser, "fieldset[data-facet=verdict] button[data-all='']").click()
+    wait(browser, "!document.getElementById('none').hidden")
+    find(browser, "button[type=reset]").click()
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
+    assert count(browser, ".rows tr[data-method=penalty]") == penalties
 
 
 def test_messages_stand_whole_below_their_rows_and_are_hidden_with_them(browser: Any) -> None:
     browser.execute_script("document.querySelectorAll('.case').forEach((one) => { one.open = true; })")
-    notes = _count(browser, ".rows .note-of-row")
+    notes = count(browser, ".rows .note-of-row")
     assert notes > 0
     tall = "[...document.querySelectorAll('.rows tbody tr:not(.note-of-row)')].map((e) => e.clientHeight)"
     assert max(browser.execute_script(f"return {tall}")) < 60  # one or two lines
@@ -202,13 +95,13 @@ def test_messages_stand_whole_below_their_rows_and_are_hidden_with_them(browser:
         "document.querySelectorAll('input[name=method]').forEach((box) => { box.checked = false; });"
         "document.getElementById('choices').dispatchEvent(new Event('input', {bubbles: true}))"
     )
-    assert _count(browser, ".rows .note-of-row") == 0
+    assert count(browser, ".rows .note-of-row") == 0
 
 
 def test_a_link_opens_its_case(browser: Any) -> None:
     links = browser.find_elements("css selector", ".contents a")
     links[1].click()
-    _wait(browser, "document.querySelectorAll('.case')[1].open")
+    wait(browser, "document.querySelectorAll('.case')[1].open")
     assert browser.execute_script("return document.activeElement.closest('.case').id") == "case-evil-b-"
 
 
@@ -223,7 +116,7 @@ def test_the_keyboard_reaches_everything_and_shows_where_it_is(browser: Any) -> 
     from selenium.webdriver.common.keys import Keys
 
     browser.execute_script("document.getElementById('filters').open = true")
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
+    wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
     wanted = browser.execute_script(REACHABLE)
     browser.execute_script(
         "window.seen = new Set(); window.bare = [];"
@@ -233,301 +126,9 @@ def test_the_keyboard_reaches_everything_and_shows_where_it_is(browser: Any) -> 
     ActionChains(browser).send_keys(Keys.TAB * (wanted + 5)).perform()
     assert browser.execute_script("return seen.size") >= wanted
     assert browser.execute_script("return bare") == []
-    summary = _find(browser, ".case:not([open]) > summary")
+    summary = find(browser, ".case:not([open]) > summary")
     summary.send_keys(Keys.ENTER)
-    assert _count(browser, ".case:not([open])") == 0
-    box = _find(browser, "input[name=method][value=osqp]")
+    assert count(browser, ".case:not([open])") == 0
+    box = find(browser, "input[name=method][value=osqp]")
     box.send_keys(Keys.SPACE)
-    assert _count(browser, "tr[data-method=osqp]") == 0
-
-
-# Colours of every text that is seen, with the first colour behind it that is not transparent.
-COLOURS = """
-const rgb = (text) => (text.match(/[\\d.]+/g) ?? [0, 0, 0, 0]).map(Number);
-const found = new Map();
-for (const element of document.querySelectorAll('body *')) {
-  const own = [...element.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
-  if (!own || !element.checkVisibility() || element.closest('script, style, .modebar')) continue;
-  const style = getComputedStyle(element), inside = element.closest('svg');
-  let behind = element, back = [0, 0, 0, 0];
-  do back = rgb(getComputedStyle(behind).backgroundColor);
-  while (back[3] === 0 && (behind = behind.parentElement));
-  const front = rgb(inside ? style.fill : style.color), size = parseFloat(style.fontSize);
-  const large = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700);
-  found.set([front, back, large].join(), [front, back, large, element.textContent.slice(0, 40)]);
-}
-return [...found.values()];
-"""
-
-
-def _luminance(colour: list[float]) -> float:
-    parts = [part / 255 for part in colour[:3]]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def _contrast(one: list[float], other: list[float]) -> float:
-    """
-    >>> _contrast([0, 0, 0], [255, 255, 255])
-    21.0
-    """
-    light, dark = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)
-
-
-def _faint(found: list[Any]) -> list[Any]:
-    """Texts that do not stand out."""
-    return [
-        (text, front, back)
-        for front, back, large, text in found
-        if _contrast(front, back) < (LARGE_CONTRAST if large else CONTRAST)
-    ]
-
-
-@pytest.mark.slow
-def test_texts_stand_out_from_what_is_behind_them_on_light_and_dark_pages(browser: Any) -> None:
-    _open_all(browser)
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
-    light = browser.execute_script(COLOURS)
-    _look(browser, 1280, "dark")
-    dark = browser.execute_script(COLOURS)
-    assert min(len(light), len(dark)) > 3
-    assert all(_luminance(back) > 0.7 for _, back, *_ in light)
-    assert all(_luminance(back) < 0.2 for _, back, *_ in dark)
-    assert _faint(light) == _faint(dark) == []
-    browser.execute_script("document.querySelector('h1').style.color = document.body.style.color = '#6b6b6b'")
-    assert _faint(browser.execute_script(COLOURS))  # grey on black is noticed
-    stroke = f"return getComputedStyle(document.querySelector('{OVERVIEW} .legendlines path')).stroke"
-    assert browser.execute_script(stroke) == "rgb(231, 234, 237)"  # a black curve is light
-
-
-@pytest.mark.slow
-def test_a_telephone_does_not_scroll_sideways(browser: Any) -> None:
-    _look(browser, 400, "light")
-    _open_all(browser)
-    for i in range(3):
-        browser.execute_script(f"document.querySelectorAll('.plot')[{i}].scrollIntoView()")
-        _wait(browser, f"Number(document.querySelectorAll('.plot')[{i}].dataset.drawn) <= 400")
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= 400
-    inside = "[...document.querySelectorAll('.scroll')].some((e) => e.scrollWidth > e.clientWidth)"
-    assert browser.execute_script(f"return {inside}")
-    legend = "document.querySelector('#all-all .legend').getBoundingClientRect()"
-    plot = "document.querySelector('#all-all .xtitle').getBoundingClientRect()"
-    assert browser.execute_script(f"return {legend}.top >= {plot}.bottom - 1")
-    assert not browser.execute_script("return document.querySelector('#all-all .scrollbar')?.height.baseVal.value")
-
-
-@pytest.mark.slow
-def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any) -> None:
-    _wait(browser, f"document.querySelectorAll('{_traces(OVERVIEW)}').length === 4")
-    opened = browser.execute_script("return document.querySelectorAll('details[open]').length")
-    browser.execute_script(
-        "addEventListener('beforeprint', () => { window.printed = {"
-        " closed: document.querySelectorAll('.case:not([open])').length,"
-        " drawn: document.querySelectorAll('.plot .scatterlayer .trace').length,"
-        " plots: document.querySelectorAll('.plot').length,"
-        " plotted: document.querySelectorAll('.js-plotly-plot').length }; })"
-    )
-    options = dict(preferCSSPageSize=True, generateTaggedPDF=True, generateDocumentOutline=True)
-    paper = base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", options)["data"])
-    assert paper.startswith(b"%PDF")
-    assert paper.count(b"/Type /Page\n") >= 6
-    outline = paper.replace(b"\\(", b"(").replace(b"\\)", b")")
-    assert b"A bar and a rigid wall" in outline
-    assert b"Methods" in outline
-    printed = browser.execute_script("return window.printed")
-    assert printed["closed"] == 0
-    assert printed["plotted"] == printed["plots"] == 3
-    assert printed["drawn"] >= 8
-    assert browser.execute_script("return document.querySelectorAll('details[open]').length") == opened
-
-
-@pytest.mark.slow
-def test_a_page_of_sections_alone_draws_its_charts(browser: Any, tmp_path: Path) -> None:
-    drawn = chart(hostile().rows)
-    sections = (Part("First", ("Words.",), (drawn,), ()), Part("Second", (), (drawn,), ()))
-    file = tmp_path / "sections.html"
-    file.write_text(render_study(sections, (), {}, {}, "contactqp report --stability"), encoding="utf-8")
-    _complaints(browser)
-    browser.get(file.as_uri())
-    _wait(browser, f"document.querySelectorAll('{_traces('.plot')}').length === 4")
-    browser.execute_cdp_cmd("Page.printToPDF", {})
-    assert _count(browser, ".part:not([open])") == 1  # as before
-    assert browser.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 2
-    assert _complaints(browser) == []
-
-
-def _named(axis: Axis) -> dict[str, Any]:
-    return dict(title=axis.title, quantity=axis.quantity, labels=axis.labels)
-
-
-def _everywhere(axis: Axis) -> list[dict[str, Any]]:
-    """Two methods that are right at all values."""
-    names = ("active-set", "augmented-lagrangian (uzawa)")
-    return [dict(method=name, words="right", lowest=axis.values[0], highest=axis.values[-1]) for name in names]
-
-
-def _stability_page(folder: Path) -> Path:
-    """A study of two axes with few values and methods, and the safe ranges of fourteen axes."""
-    axes = [replace(axis, values=axis.values[:: len(axis.values) // 12]) for axis in AXES[:2]]
-    study, _, _ = write_stability(folder, axes, ("active-set", "penalty", "perturbed-lagrangian"))
-    ranges = bars_of([dict(_named(axis), values=axis.values, ranges=_everywhere(axis)) for axis in AXES])
-    file = folder / "stability.html"
-    text = render_study(stability_sections(study), (), {}, {}, "contactqp report --stability", ranges=ranges)
-    file.write_text(text, encoding="utf-8")
-    return file
-
-
-@pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 400])
-def test_the_page_of_stability_is_read_on_a_screen_and_on_a_telephone(session: Any, tmp_path: Path, width: int) -> None:
-    """Bars of all axes first, whole on a screen; no heat map of few methods has a blank below, nor cells too narrow."""
-    file = _stability_page(tmp_path)
-    _look(session, width, "light")
-    session.get(file.as_uri())
-    _open_all(session)
-    for i in range(session.execute_script("return document.querySelectorAll('.plot').length")):
-        plot = f"document.querySelectorAll('.plot')[{i}]"
-        session.execute_script(f"{plot}.scrollIntoView()")
-        _wait(session, f"{plot}.querySelector('.main-svg')")
-    bars = _find(session, ".ranges")
-    assert bars.location["y"] < _find(session, "#axes").location["y"]
-    if width == 1280:
-        assert session.execute_script("return arguments[0].parentElement.scrollWidth", bars) <= width - 30
-    heights = session.execute_script(
-        "return [...document.querySelectorAll('.plot')]"
-        ".map((e) => [e.clientHeight, e.querySelector('.main-svg').clientHeight])"
-    )
-    assert len(heights) > 4
-    assert all(abs(box - drawn) < 8 for box, drawn in heights), heights
-    cells = "[...document.querySelectorAll('.plot')].filter((e) => e.querySelector('.heatmaplayer image, .hm'))"
-    widths = session.execute_script(f"return {cells}.map((e) => e.clientWidth)")
-    assert len(widths) == 4
-    assert min(widths) >= 700
-    names = session.execute_script(
-        "return [...document.querySelectorAll('.plot:not(.panels)')].flatMap((plot) => [...plot.querySelectorAll("
-        "'.legendtext, .annotation-text')].map((e) => [e.textContent, e.getBoundingClientRect().right - "
-        "plot.getBoundingClientRect().right]))"
-    )
-    assert names
-    assert all(beyond <= 1 for _, beyond in names), names
-    texts = session.execute_script(TEXTS)
-    assert _overlapping(texts) == []
-    assert max(text[3] for text in texts) <= width
-
-
-def test_without_scripts_the_tables_are_there(browser: Any, address: str) -> None:
-    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", dict(value=True))
-    try:
-        browser.get(address)
-        assert "Without JavaScript" in _find(browser, "header").text
-        assert not _find(browser, "#filters").is_displayed()
-        assert len(browser.find_elements("css selector", ".rows tbody tr")) > 10
-    finally:
-        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", dict(value=False))
-
-
-FIRST_SCREEN = """
-const boxes = (selector) => [...document.querySelectorAll(selector)].filter((e) => e.checkVisibility()).map((e) => {
-  const b = e.getBoundingClientRect();
-  return [e.textContent.trim().slice(0, 80), b.left, b.top, b.right, b.bottom];
-});
-return {
-  sentence: boxes('.conclusion .sentence'), table: boxes('.conclusion tbody tr'), axis: boxes('.conclusion .xtitle'),
-  names: boxes('.conclusion .annotation-text'), marks: boxes('.conclusion .points path'),
-  plot: boxes('.conclusion .plot'),
-};
-"""
-
-
-def _apart(one: list[Any], other: list[Any]) -> bool:
-    (_, left, top, right, bottom), (_, left2, top2, right2, bottom2) = one, other
-    return bool(right <= left2 + 1 or right2 <= left + 1 or bottom <= top2 + 1 or bottom2 <= top + 1)
-
-
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("width", [1280, 400])
-def test_the_first_screen_is_the_conclusion(session: Any, tmp_path: Path, width: int) -> None:
-    """Sentence, table and chart stand in one window, and no text over another; on a telephone one below another."""
-    data = report("one", "two")
-    facts = dict(command="contactqp report", machine=dict(python="CPython"))
-    file = tmp_path / "index.html"
-    text = pages.render(replace(data, facts=facts), telling=telling_chart(data))
-    file.write_text(text, encoding="utf-8")
-    _look(session, width, "light")
-    session.get(file.as_uri())
-    _wait(session, "document.querySelector('.conclusion .xtitle')")
-    found = session.execute_script(FIRST_SCREEN)
-    assert found["sentence"][0][0].startswith("Which method? On 2 cases with a known answer: active-set, the default")
-    assert [text.partition("?")[0] for text, *_ in found["sentence"]] == [
-        q.rstrip("?") for q in (WHICH, PENALTY, WRONG)
-    ]
-    assert len(found["table"]) == 4
-    assert len(found["names"]) == (
-        5 if width == 1280 else 1
-    )  # of the line, and of methods, of one in the band and at its curve; on a telephone in a legend
-    shown = [*found["sentence"], *found["table"], *found["axis"]]
-    if width == 1280:
-        assert max(box[4] for box in shown) <= 800
-    assert all(box[3] <= width for box in (*found["sentence"], *found["plot"]))
-    for i, box in enumerate(found["names"]):
-        assert all(_apart(box, other) for other in found["names"][:i]), found["names"]
-        assert all(_apart(box, other) for other in found["marks"]), found["names"]
-
-
-# Every line of text that can be seen, as far as the boxes that it is scrolled in show it; drawings label themselves.
-TEXTS = """
-const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), found = [];
-while (walker.nextNode()) {
-  const node = walker.currentNode, parent = node.parentElement, clips = [];
-  if (!node.textContent.trim() || !parent.checkVisibility() || parent.closest('svg, script, style, math')) continue;
-  for (let e = parent; e !== document.body; e = e.parentElement)
-    if (getComputedStyle(e).overflow !== 'visible') clips.push(e.getBoundingClientRect());
-  const range = document.createRange();
-  range.selectNodeContents(node);
-  for (const line of range.getClientRects()) {
-    let [left, top, right, bottom] = [line.left, line.top, line.right, line.bottom];
-    for (const clip of clips) {
-      left = Math.max(left, clip.left), top = Math.max(top, clip.top);
-      right = Math.min(right, clip.right), bottom = Math.min(bottom, clip.bottom);
-    }
-    if (right - left > 1 && bottom - top > 1)
-      found.push([node.textContent.trim().slice(0, 60), left, top + scrollY, right, bottom + scrollY]);
-  }
-}
-return found;
-"""
-
-
-def _overlapping(texts: list[list[Any]]) -> list[tuple[str, str]]:
-    """Texts that lie over one another by more than the edges of their letters."""
-    ordered, found = sorted(texts, key=lambda text: text[2]), []
-    for i, one in enumerate(ordered):
-        for other in ordered[i + 1 :]:
-            if other[2] >= one[4] - 3:
-                break
-            if min(one[3], other[3]) - max(one[1], other[1]) > 2 and min(one[4], other[4]) - other[2] > 3:
-                found.append((one[0], other[0]))
-    return found
-
-
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("width", [1280, 400])
-def test_no_text_of_the_page_lies_over_another(session: Any, address: str, width: int) -> None:
-    _look(session, width, "light")
-    session.get(address)
-    for opened in (False, True):
-        if opened:
-            session.execute_script("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
-            _wait(session, "[...document.querySelectorAll('details')].every((e) => e.open)")
-        texts = session.execute_script(TEXTS)
-        assert len(texts) > 100
-        assert _overlapping(texts) == []
-        assert max(text[3] for text in texts) <= width
-
-
-@pytest.mark.slow
-def test_text_over_text_is_found(session: Any, address: str) -> None:
-    _look(session, 1280, "light")
-    session.get(address)
-    session.execute_script("document.querySelector('h1').style.marginBottom = '-40px'")
-    assert _overlapping(session.execute_script(TEXTS))
+    assert count(browser, "tr[data-method=osqp]") == 0
