@@ -171,8 +171,8 @@ def _is_rigid(motions: Array, forces: Array, size: Array) -> Mask:
     return np.asarray(still & (energy <= RIGID_ENERGY * scale))
 
 
-# A matrix of so many rows is searched before SciPy has checked it.
-FEW = 16
+# A matrix of so many rows is searched before SciPy has checked it, and so many pairs are gone through one by one.
+FEW, FEW_PAIRS = 16, 64
 
 
 def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, NDArray[np.int32]]:
@@ -203,6 +203,19 @@ def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
         return 1, np.zeros(size, dtype=np.int32)  # one body, which a search from its first unknown tells at once
     count, label = connected_components(matrix, directed=False)
     return int(count), label
+
+
+def joined_parts(count: int, one: Indices, other: Indices) -> Indices:
+    """Return the number of the part that each of `count` bodies belongs to, pairs of them being joined."""
+    if len(one) > FEW_PAIRS or count > FEW_PAIRS:
+        joined = sp.coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
+        return np.asarray(connected_parts(joined)[1])
+    label = list(range(count))
+    for a, b in zip(one.tolist(), other.tolist(), strict=True):
+        low, high = sorted((label[a], label[b]))
+        if low < high:
+            label = [low if number == high else number for number in label]
+    return np.unique(label, return_inverse=True)[1]
 
 
 def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:

@@ -38,11 +38,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
 from contactqp.linalg.extended import extended_rows
-from contactqp.linalg.factorization import RIGID_FORCE, connected_parts
+from contactqp.linalg.factorization import RIGID_FORCE, connected_parts, joined_parts
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Nothing
@@ -289,8 +288,7 @@ def parts(problem: ContactProblem) -> Indices:
             one, other = np.concatenate([_joined(some, found) for some in rows], axis=1)
             apart = one != other
             if apart.any():
-                edges = np.ones(np.count_nonzero(apart)), (one[apart], other[apart])
-                found = connected_parts(sp.coo_array(edges, shape=(count, count)))[1][found].astype(np.intp)
+                found = joined_parts(count, one[apart], other[apart])[found].astype(np.intp)
         problem._computed.parts = found
     return found
 

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from threadpoolctl import threadpool_limits
 
 import contactqp as cq
@@ -18,7 +18,13 @@ from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.linalg import condensation, factorization, pardiso, schur
 from contactqp.linalg.condensation import condense, eliminate
 from contactqp.linalg.dense import BackSubstitution, DenseCholesky, orthonormal
-from contactqp.linalg.factorization import connected_parts, factorise, null_space, with_added_diagonal
+from contactqp.linalg.factorization import (
+    connected_parts,
+    factorise,
+    joined_parts,
+    null_space,
+    with_added_diagonal,
+)
 from contactqp.linalg.pardiso import EliminationOrder, NotPositive, Pardiso, available
 from contactqp.linalg.schur import LastBlock, TrailingBlock
 
@@ -455,3 +461,13 @@ def test_motions_that_units_make_dependent_stay_as_they_are() -> None:
     units = np.array([1e17, 1e13, 1e-9])
     motions = orthonormal(units[:, None] * np.array([[0.0, 1.0, 3.0], [-3.0, 2.0, 3.0], [3.0, -2.0, -3.0]]))
     assert np.all(np.isfinite(motions))
+
+
+@pytest.mark.parametrize("pairs", [0, 3, 10, 64, 65, 300])
+def test_parts_that_pairs_join_are_those_of_scipy(pairs: int) -> None:
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        count = int(random.integers(1, 30))
+        one, other = random.integers(0, count, (2, pairs))
+        graph = sp.coo_array((np.ones(pairs), (one, other)), shape=(count, count))
+        assert joined_parts(count, one, other).tolist() == connected_components(graph, directed=False)[1].tolist()
