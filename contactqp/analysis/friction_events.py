@@ -103,7 +103,7 @@ class ExactPath:
         self._problem, self._condensation = problem, condense(problem)
         self.system = system or ForceSystem(problem, self._condensation)
         self.status = self.system.plain(combination_of(first.problem, first.answer))
-        self.answer = Answer(first.displacement, first.normal_force, first.friction_force, first.tie_force)
+        self.answer = first.answer
         self.anchor = self._position(self.answer)
         self.events: list[Event] = []
         self.segments: list[Segment] = []

@@ -21,7 +21,7 @@ from contactqp.model.names import Units, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, is_masked, is_whole, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Candidate, Solution, Work
-from contactqp.model.summary import Printed, Table, csv_text, number, without_rounding
+from contactqp.model.summary import Printed, RowsOf, Table, csv_text, number, without_rounding
 from contactqp.solving.solve import begin, solve
 
 # Rows that are printed, at most.
@@ -70,7 +70,7 @@ Row = TypeVar("Row", ContactRow, CaseRow)
 
 
 @dataclass(frozen=True)
-class ContactTable(Printed, Sequence[Row], Generic[Row]):
+class ContactTable(Printed, RowsOf[Row], Generic[Row]):
     """The table of `History.table` or `Solutions.table`: a row for each contact at each instant or in each load case.
 
     `str` prints it.
@@ -78,18 +78,6 @@ class ContactTable(Printed, Sequence[Row], Generic[Row]):
 
     columns: tuple[str, ...]  # with units where the problem has them: "time [s]", "normal_force [N]"
     rows: tuple[Row, ...]
-
-    @overload
-    def __getitem__(self, place: int) -> Row: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
-
-    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
-        return self.rows[place]
-
-    def __len__(self) -> int:
-        return len(self.rows)
 
     def __repr__(self) -> str:
         return f"ContactTable({len(self)} rows: {', '.join(self.columns)})"

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
@@ -70,6 +70,27 @@ class Printed:
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
+
+
+R = TypeVar("R")
+
+
+class RowsOf(Sequence[R], Generic[R]):
+    """A table that is a sequence of its rows."""
+
+    rows: tuple[R, ...]
+
+    @overload
+    def __getitem__(self, place: int) -> R: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[R, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> R | tuple[R, ...]:
+        return self.rows[place]
+
+    def __len__(self) -> int:
+        return len(self.rows)
 
 
 @own_floating_point

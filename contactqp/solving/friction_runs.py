@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.certificate import compute_certificate, holds, holds_by_products
+from contactqp.certificate.certificate import certificate_of, holds, holds_by_products
 from contactqp.certificate.coulomb_law import rounded_slips
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported, shown
 from contactqp.linalg import pardiso
@@ -79,11 +79,11 @@ def _associated(
     relaxed = relaxed_in_the_plane(problem)
     # A start has one force a contact, and the program two.
     found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final().answer
-    parts = (found.displacement, found.normal_force, found.tie_force)
-    certificate = compute_certificate(relaxed, found.displacement, found.normal_force, tie_force=found.tie_force)
+    certificate = certificate_of(relaxed, found)
     if not certificate.passed:
         raise NotConverged(f"associated friction law by {method.name}: {'; '.join(certificate.failures)}")
-    return recovered(problem, *parts), f"associated friction law by {method.name} (not Coulomb)"
+    answer = recovered(problem, found.displacement, found.normal_force, found.tie_force)
+    return answer, f"associated friction law by {method.name} (not Coulomb)"
 
 
 # A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.certificate import compute_certificate
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.certificate.subset_bounds import among, candidates_around, first_candidates, take_all, widened
 from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
@@ -427,10 +427,7 @@ def _of_all(problem: ContactProblem, candidates: Indices, solution: Solution, sp
     answered = time.perf_counter()
     raw = solution.raw
     whole: Solution = of_all(solution)
-    certificate = compute_certificate(
-        problem, whole.displacement, whole.normal_force, whole.friction_force, whole.tie_force
-    )
-    whole = replace(whole, certificate=certificate)
+    whole = replace(whole, certificate=certificate_of(problem, whole.answer))
     certified = time.perf_counter()
     return replace(
         whole,

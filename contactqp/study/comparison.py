@@ -6,7 +6,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any
 
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import near_one, refuse_far_from_one
@@ -26,7 +26,7 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
-from contactqp.model.summary import Printed
+from contactqp.model.summary import Printed, RowsOf
 from contactqp.solving.methods import Method, meant_option, registered_name, takes
 from contactqp.solving.solve import begin, solve
 from contactqp.study import rows
@@ -351,23 +351,11 @@ def _message(outcome: Outcome, unmet: Sequence[str] | None) -> str:
 
 
 @dataclass(frozen=True)
-class Comparison(Printed, Sequence[Row]):
+class Comparison(Printed, RowsOf[Row]):
     """The table of `compare`, with one row for each method and value of its knob; `str` prints it."""
 
     rows: tuple[Row, ...]
     truth: str  # what the errors are measured against
-
-    @overload
-    def __getitem__(self, place: int) -> Row: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Row, ...]: ...
-
-    def __getitem__(self, place: int | slice) -> Row | tuple[Row, ...]:
-        return self.rows[place]
-
-    def __len__(self) -> int:
-        return len(self.rows)
 
     def __repr__(self) -> str:
         return f"Comparison({counted('row', len(self))} against {self.truth})"
