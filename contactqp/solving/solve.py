@@ -126,8 +126,9 @@ def solve(
         Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
         set corrected twice. `solution.raw` is the answer before it.
     time_limit : float, optional
-        Seconds for the call, for methods that can stop. It is looked at between the steps of the method and between
-        factorisations, none of which is interrupted; the certificate of what was found comes on top.
+        Seconds for the call, for methods that can stop. It is looked at before each step and each factorisation, none
+        of which is interrupted; the certificate of what was found comes on top. Where the time is up before there is
+        an answer, NotConverged has the best so far in `solution`, whose bounds take as long again at most.
     max_iter : int, optional
         Iterations of the method.
     warm_start : Solution, optional
