@@ -37,6 +37,7 @@ QUANTITIES = ("displacement", "normal_force", "gap", "reaction", "energy", "tie_
 # Parameters along which answers are linear and the energy is quadratic until a contact's state changes; the step of
 # quotients, which is rounded with the parameter, and what they may therefore be off by.
 LINEAR, STEP, QUOTIENT = ("load", "gap", "tie_value", "slip_origin"), 2.0**-24, 1e-6
+LENGTHS = ("displacement", "gap", "slip")
 # Parts of an event a unit of step that the rounding of rates makes, beside gaps a thousand times smaller than others.
 ROUNDED = 1e-12
 
@@ -130,9 +131,8 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
             if found.reach is not None and true.reach is not None and not _same_reach(found.reach, true.reach):
                 tally.wrong.append(f"{where}: {name} by {parameter} reaches {found.reach}, exactly {true.reach}")
             if found.right is not None and true.right is None:
-                by_quotients(
-                    tally, f"{where}: {name} by {parameter}", answer, problem, (parameter, direction, name), found
-                )
+                place, asked = f"{where}: {name} by {parameter}", (parameter, direction, name)
+                by_quotients(tally, place, answer, solution, asked, found)
             if found.right is None or true.right is None:
                 tally.counts["none: " + ("both" if found.right is None and true.right is None else
                              "doubles alone" if found.right is None else "exact alone")] += 1  # fmt: skip
@@ -161,15 +161,25 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
                     tally.wrong.append(f"{where}: {name} by {parameter}: a bound is below the error")
 
 
-def by_quotients(tally: Tally, where: str, answer: Any, problem: cq.ContactProblem, asked: Any, found: Any) -> None:
-    """Hold sides of which rational rates are not unique, or of redundant contacts, against exact answers nearby."""
+def by_quotients(tally: Tally, where: str, answer: Any, solution: cq.Solution, asked: Any, found: Any) -> None:
+    """Hold sides of which rational rates are not unique, or of redundant contacts, against exact answers nearby.
+
+    Sides along which the state of a contact changes within the step have no quotients.
+    """
     parameter, direction, name = asked
     if parameter not in LINEAR or name == "reaction" or getattr(answer, name) is None:
         return
+    problem = solution.problem
     here, given = fractions(answer, name), np.asarray(getattr(problem, parameter))
     change = np.asarray(direction).reshape(given.shape)
-    unit = sizes(problem, cq.solve(problem))[name]
-    for side, sign in ((found.left, -1), (found.right, 1)):
+    of_all = sizes(problem, solution)
+    moved = solution.derivative("displacement", parameter, direction)
+    unit, least = of_all[name], ROUNDED * _size_of_lengths(solution, moved, of_all) if name in LENGTHS else 0.0
+    reach = solution.derivative("normal_force", parameter, direction).reach or (np.inf, np.inf)
+    for side, sign, event in ((found.left, -1, reach[0]), (found.right, 1, reach[1])):
+        if event < STEP:
+            tally.counts["none: exact alone, an event within the step"] += 1
+            continue
         steps = [sign * STEP, sign * STEP / 2]
         try:
             others = [cq.exact(problem.replace(**{parameter: given + h * change}), enclose=False) for h in steps]
@@ -181,8 +191,16 @@ def by_quotients(tally: Tally, where: str, answer: Any, problem: cq.ContactProbl
         true = np.array([float(2 * b - a) for a, b in zip(far, near, strict=True)])
         whole = float(np.max(abs(true) * unit, initial=0.0))
         tally.counts["none: exact alone, held against quotients"] += 1
-        if not np.all(abs(np.ravel(side) - true) * unit <= QUOTIENT * whole):
+        if not np.all(abs(np.ravel(side) - true) * unit <= max(QUOTIENT * whole, least)):
             tally.wrong.append(f"{where}: {side} on a side where exact answers change by {true}")
+
+
+def _size_of_lengths(solution: cq.Solution, moved: Any, unit: dict[str, Any]) -> float:
+    """The largest displacement, rate of one, and gap, in the square root of energy, of which rounding is a part."""
+    gap = np.where(np.isfinite(solution.problem.gap), abs(solution.problem.gap), 0.0)
+    lengths = solution.displacement, *(one for one in (moved.left, moved.right) if one is not None)
+    met = *(abs(one) * unit["displacement"] for one in lengths), gap * unit["gap"]
+    return max(float(np.max(one, initial=0.0)) for one in met)
 
 
 def fractions(answer: Any, name: str) -> list[Fraction]:

@@ -1,7 +1,8 @@
 """Many load cases of one problem: one factorisation, condensed once, every case certified.
 
 Where cases are many, influence functions (`contactqp.linalg.influence`) turn each into a product with its load and a
-small system, without friction and with it in the plane, whose answer is proven; bodies that float are put on springs.
+small system, without friction, with it in the plane, and in space where all that touches sticks; its answer is proven;
+bodies that float are put on springs.
 A case nearer to other states of its contacts, or less accurate than an answer has to be, is left to `solve`.
 
 States are looked for from those of the case before where the answer is the only one whatever the load, without friction
@@ -10,10 +11,8 @@ does not depend on the cases before it; of bodies that float from contacts that 
 
 Answers as functions of JAX and PyTorch, differentiated by what `pullback` says; neither is imported until asked for.
 
-A function takes what is varied by name, in double precision: load (n,), gap (m,), tie_value (k,), friction (m,),
-slip_origin (m, d-1), and stiffness, the entries (nnz,) of K on the pattern of `problem.stiffness_rows`. Every call is a
-certified solution, and its gradient one system with the same factors. Where an answer has no gradient, at a contact
-that grazes, the error says so.
+Every call of such a function is a certified solution, its gradient one system with the same factors. Where an answer
+has no gradient, at a contact that grazes, the error says so.
 """
 
 from __future__ import annotations
@@ -41,15 +40,7 @@ from contactqp.linalg.influence import Influence, ProvenForces, held_by_springs
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import free_memory
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import (
-    METHOD,
-    Array,
-    Vector,
-    one_blas_thread,
-    own_floating_point,
-    stage,
-    telling,
-)
+from contactqp.model.arrays import METHOD, Array, Vector, one_blas_thread, own_floating_point, stage, telling
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
@@ -79,11 +70,12 @@ def solve_many(
 ) -> Solutions:
     """Solve one problem for many loads, gaps or coefficients of friction, each certified as by `solve`.
 
-    The stiffness is factorised and condensed once, and again on springs where a body floats. Without friction and with
-    it in the plane a case then takes a product with influence functions and a small system, and `force_bound` proves
-    its forces: with friction they are those of an equilibrium, the only one nearby. What is nearer than that to other
-    states of its contacts is solved by itself, as is all else, from the answer of the case before where that is unique:
-    loads that are near to each other should stand next to each other. A case that fails stops no other.
+    The stiffness is factorised and condensed once, and again on springs where a body floats. Without friction, with it
+    in the plane, and in space where nothing slips, a case then takes a product with influence functions and a small
+    system, and `force_bound` proves its forces: with friction they are those of an equilibrium, the only one nearby.
+    What is nearer than that to other states of its contacts is solved by itself, as is all else, from the answer of the
+    case before where that is unique: loads that are near to each other should stand next to each other. A case that
+    fails stops no other.
 
     Parameters
     ----------
@@ -140,7 +132,7 @@ def _by_influence(cases: LoadCases, rows: _Rows) -> None:
     """Solve what is proven by influence functions, where there are cases enough to pay for these."""
     try:
         problem = cases.case(0)
-        if not _pays(cases, problem):
+        if not _pays(cases, problem) or not _may_stick(cases, problem, rows):
             return
         meter = Meter(problem)
         with problem.lock, one_blas_thread(problem), stage(METHOD), meter.running():
@@ -169,11 +161,17 @@ def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
         return False
     if not 0 < count <= min(PER_CASE * cases.count, problem.dimension) or problem.has_idle_rows:
         return False
-    if rough and (problem.tangent is None or problem.tangent.shape[0] != problem.contacts):
-        return False  # directions of slip in space turn
     if systems_of(problem) is not Systems.CONDENSED:
         return False
     return near_one(problem) is None
+
+
+def _may_stick(cases: LoadCases, problem: ContactProblem, rows: _Rows) -> bool:
+    """Return whether nothing slips in the first case in space, which is solved by itself; in the plane it may."""
+    if not _is_rough(cases, problem) or _functions(problem, rough=True) <= 2 * problem.contacts + problem.ties:
+        return True
+    rows.take(0, found := solve(problem))
+    return "slip" not in found.contact_status
 
 
 def _is_rough(cases: LoadCases, problem: ContactProblem) -> bool:
@@ -183,14 +181,13 @@ def _is_rough(cases: LoadCases, problem: ContactProblem) -> bool:
 
 def _functions(problem: ContactProblem, rough: bool) -> int:
     """Return the number of influence functions."""
-    return (2 if rough else 1) * problem.contacts + problem.ties
+    return problem.contacts + problem.ties + (problem.tangent.shape[0] if rough and problem.tangent is not None else 0)
 
 
 def _is_only(cases: LoadCases, condensation: Condensation) -> bool:
     """Return whether there is one answer to every load, by the largest coefficient that each contact has."""
     problem = cases.problem
-    if cases.friction is not None:
-        problem = problem.replace(friction=cases.friction.max(axis=0))
+    problem = problem if cases.friction is None else problem.replace(friction=cases.friction.max(axis=0))
     return too_many(problem, condensation) is None and critical(problem, condensation).unique
 
 
@@ -289,7 +286,9 @@ class _Rows:
         self.normal_force[i], self.tie_force[i], self.gap[i] = found.force[:m], found.force[m : m + ties], found.gap
         self.force_bound[i] = found.bound[:m]
         if self.friction_force is not None:
-            self.friction_force[i] = 0.0 if found.friction_force is None else found.friction_force[:, None]
+            self.friction_force[i] = 0.0
+            if found.friction_force is not None:
+                self.friction_force[i].flat = found.friction_force
         rough = np.where(found.status == STICK, NUMBER["stick"], NUMBER["slip"])
         closed = np.where(friction > 0, rough, NUMBER["closed"])
         self.status[i] = np.where(found.status == OPEN, NUMBER["open"], closed)

@@ -28,8 +28,10 @@ by e, the error of Y'f, of W and of the products with them. With V = M^-1 the fo
 Without friction, where forces are positive and gaps open by more than these bounds, l* meets the conditions of Karush,
 Kuhn and Tucker: K being positive definite, it is the solution. With friction, where also friction is within its bound
 and slips go where they should by more than these, l* meets Coulomb's law: it is an equilibrium, and the only one nearer
-than what these signs hold by. Where the least eigenvalue w of W for all contacts and ties tells enough, |V| x is not
-formed without friction: the eigenvalues of W_CC are not less, so that no entry of V x exceeds |x|/w.
+than what these signs hold by. In space C holds both slips of contacts that stick, and |l_T| <= mu l_N is asked of the
+two forces together; what slips does so in a direction that is no row of B, and is left to `solve`. Where the least
+eigenvalue w of W for all contacts and ties tells enough, |V| x is not formed without friction: the eigenvalues of W_CC
+are not less, so that no entry of V x exceeds |x|/w.
 
 The influence functions are corrected once. The size q of the correction, relative to the functions, tells that of what
 is left, q^2, and ALLOWANCE times as much is counted, as it is in certificates. A product of vectors, added up in parts
@@ -50,6 +52,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import lower_factor
 from contactqp.linalg.extended import Extended, Residuals, extend, two_sum
 from contactqp.linalg.factorization import fixing_unknowns
+from contactqp.linalg.measures import lengths
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -160,7 +163,7 @@ class ProvenForces:
     bound: Vector  # (m + k,) of the error of each, with friction of the whole force of a contact
     gap: Vector  # (m,)
     status: Status  # (m,) without friction SLIP_ON where closed
-    friction_force: Vector | None = None  # (m,) in the plane
+    friction_force: Vector | None = None  # (m,) in the plane, (2 m,) in space
 
 
 class Influence:
@@ -170,7 +173,7 @@ class Influence:
     ----------
     problem, condensation : the problem, whose body is held without contacts, and its Condensation
     loaded : unknowns at which loads may act
-    rough : whether contacts have friction, in the plane: one tangential row each
+    rough : whether contacts have friction
     springs : the number of last ties that `held_by_springs` has put on the unknowns of its springs
     """
 
@@ -179,9 +182,10 @@ class Influence:
     ) -> None:
         operator = condensation.delassus
         stiffness = SlicedStiffness(problem.stiffness_rows, condensation.unknown_scale)
-        tangent = problem.tangent if rough else problem.tie[:0]
+        tangent = problem.tangent if rough and problem.tangent is not None else problem.tie[:0]
         on_retained, response, self._scale = operator.rows, operator.response, operator.row_scale
         self._contacts, self.rough, self.springs, m = problem.contacts, rough, springs, problem.contacts
+        self._width = tangent.shape[0] // max(m, 1)
         if rough and condensation.tangent is not None:
             own = condensation.tangent.toarray() * condensation.scale
             on_retained = np.vstack([operator.rows[:m], own, operator.rows[m:]])
@@ -205,6 +209,8 @@ class Influence:
         self.accurate = bool(correction <= LARGEST_CORRECTION and np.all(np.isfinite(largest)))
         self._W = (W + W.T) / 2
         self._W[count - springs :, count - springs :] = 0.0
+        # Scaled friction of a contact in units of its scaled normal force.
+        self._along = self._scale[self._tangents].reshape(m, self._width) / self._scale[:m, None]
         self._definite = not (rough or springs)
         # Errors of Y'f are this times D'|f|; those of W_ij the product of row i's and column j's.
         refined = EPS + ALLOWANCE * correction**2 + stiffness.longest * LEFT_OUT / EPS * correction
@@ -244,9 +250,9 @@ class Influence:
         """
         length = self._scale * limit
         m, tangents = self._contacts, self._tangents
-        ratio = friction * self._scale[:m] / self._scale[tangents] if self.rough else np.zeros(m)
+        ratio = friction if self.rough else np.zeros(m)
         found = self._in_own_states(free - length, status, ratio)
-        for part in PARTS if found is None and self.rough else ():
+        for part in PARTS if found is None and self._width == 1 else ():
             found = self._in_own_states(free - length, status, part * ratio)
             if found is None:
                 return None
@@ -277,14 +283,14 @@ class Influence:
         own = np.r_[0:m, tangents.stop : len(force)]
         if not self.rough:
             return ProvenForces(force, bounds, gap, system.status)
-        bounds[:m] = np.hypot(bounds[:m], bounds[tangents])
+        bounds[:m] = lengths(np.column_stack([bounds[:m], bounds[tangents].reshape(m, self._width)]))
         return ProvenForces(force[own], bounds[own], gap, system.status, force[tangents])
 
     @property
     def _tangents(self) -> slice:
         """Return the places of tangential rows, none without friction."""
         m = self._contacts
-        return slice(m, 2 * m if self.rough else m)
+        return slice(m, m + self._width * m)
 
     def _margins(self, system: _System, x: Vector, slack: Vector, bounds: tuple[Vector, Vector]) -> Vector:
         """Return by how much more than its error each sign of some states holds."""
@@ -294,11 +300,17 @@ class Influence:
         push[closed], of_push[closed] = x[: len(closed)], of_force[: len(closed)]
         margins = [(push - of_push)[closed], (slack - of_length)[:m][status == OPEN]]
         if self.rough:
-            drag, of_drag = (part[len(closed) : len(closed) + len(stuck)] for part in (x, of_force))
-            margins += [system.ratio[stuck] * (push - of_push)[stuck] - abs(drag) - of_drag]
-            slips = np.flatnonzero((abs(status) == 1) & (system.ratio > 0))
+            drag, of_drag = (self._dragged(system, part) for part in (x, of_force))
+            margins += [system.friction[stuck] * (push - of_push)[stuck] - drag - of_drag]
+            slips = np.flatnonzero((abs(status) == 1) & (system.friction > 0))
             margins += [(-status[slips] * slack[m + slips]) - of_length[m + slips]]
         return np.concatenate(margins)
+
+    def _dragged(self, system: _System, x: Vector) -> Vector:
+        """Return the sizes of the friction forces of contacts that stick, in units of their normal forces."""
+        first = len(system.closed)
+        drag = x[first : first + self._width * len(system.stuck)].reshape(-1, self._width)
+        return lengths(drag * self._along[system.stuck])
 
     def _bounded_eigenvalue(self) -> float:
         """Return a number that no eigenvalue of the true W is less than, next to nothing where none is known."""
@@ -309,14 +321,15 @@ class Influence:
         missing = 2 * np.linalg.norm(self._of_row) * np.linalg.norm(self._of_column)
         return max(float(values[0] - rounding - missing), TINY)
 
-    def _in_own_states(self, excess: Vector, status: Status, ratio: Vector) -> tuple[_System, Vector, Vector] | None:
+    def _in_own_states(self, excess: Vector, status: Status, friction: Vector) -> tuple[_System, Vector, Vector] | None:
         """Return the system of the states that a load leads to, its forces, and gaps, slips (turned) and ties' misses.
 
-        The states are corrected as signs say (Newton's method for the law), until they stay, or come again.
+        The states are corrected as signs say (Newton's method for the law), until they stay, or come again. In space
+        closed contacts with friction stick; None where one would slip then.
         """
         m, tried = self._contacts, set[bytes]()
         for _ in range(MOST_SETS):
-            if status.tobytes() in tried or (system := self._system(status, ratio)) is None:
+            if status.tobytes() in tried or (system := self._system(status, friction)) is None:
                 return None
             tried.add(status.tobytes())
             x = system.solve(excess[system.members])
@@ -325,30 +338,37 @@ class Influence:
             closed, stuck = system.closed, system.stuck
             closes = slack[:m] < 0
             closes[closed] = x[: len(closed)] > 0
+            beyond = (
+                self._dragged(system, x) > friction[stuck] * x[np.searchsorted(closed, stuck)] if self.rough else ()
+            )
             if not self.rough:
                 following[closes] = SLIP_ON
+            elif self._width > 1:
+                following[closes] = np.where(friction > 0, STICK, SLIP_ON)[closes]
+                if np.array_equal(following, status) and np.any(beyond):
+                    return None
             else:
                 slip = -slack[self._tangents]
                 kept = np.where(status == OPEN, np.where(slip < 0, SLIP_BACK, SLIP_ON), status)
                 kept[(abs(status) == 1) & (status * slip < 0)] = STICK
-                push, drag = x[np.searchsorted(closed, stuck)], x[len(closed) : len(closed) + len(stuck)]
-                beyond = abs(drag) > ratio[stuck] * push
+                drag = x[len(closed) : len(closed) + len(stuck)]
                 kept[stuck[beyond]] = np.where(drag[beyond] > 0, SLIP_ON, SLIP_BACK)
-                kept[ratio == 0] = SLIP_ON
+                kept[friction == 0] = SLIP_ON
                 following[closes] = kept[closes]
             if np.array_equal(following, status):
                 return system, x, slack
             status = following
         return None
 
-    def _system(self, status: Status, ratio: Vector) -> _System | None:
+    def _system(self, status: Status, friction: Vector) -> _System | None:
         """Return the system of some states; None where it has no inverse."""
-        key = status.tobytes() + (ratio.tobytes() if self.rough else b"")
+        key = status.tobytes() + (friction.tobytes() if self.rough else b"")
         if key not in self._systems:
             if len(self._systems) >= KEPT:
                 self._systems.pop(next(iter(self._systems)))
             errors = self._of_row, self._of_column
-            system = _System(self._W, status, ratio, self._tangents, errors, self._definite)
+            ratio = friction / self._along[:, 0] if self._width == 1 else np.zeros(self._contacts)
+            system = _System(self._W, status, friction, ratio, self._tangents, errors, self._definite)
             self._systems[key] = system if system.regular else None
         return self._systems[key]
 
@@ -383,21 +403,30 @@ class _System:
     ----------
     W : (q, q) array, scaled
     status : (m,) array of int
-    ratio : (m,) array, coefficients of friction in scaled forces
+    friction, ratio : (m,) arrays, coefficients of friction, and in the plane these in scaled forces
     tangents : slice, the places of tangential rows
     errors : what each row and each column contributes to the errors of W
     definite : whether all such systems are positive definite
     """
 
     def __init__(
-        self, W: Array, status: Status, ratio: Vector, tangents: slice, errors: tuple[Vector, Vector], definite: bool
+        self,
+        W: Array,
+        status: Status,
+        friction: Vector,
+        ratio: Vector,
+        tangents: slice,
+        errors: tuple[Vector, Vector],
+        definite: bool,
     ) -> None:
-        self.status, self.ratio, self._count = status, ratio, len(W)
+        self.status, self.friction, self._count = status, friction, len(W)
         rough = tangents.stop > tangents.start
+        width = (tangents.stop - tangents.start) // max(len(status), 1)
         self.closed = np.flatnonzero(status != OPEN)
         self.stuck = np.flatnonzero(status == STICK) if rough else np.zeros(0, dtype=np.intp)
-        self.members = np.concatenate([self.closed, tangents.start + self.stuck, np.arange(tangents.stop, len(W))])
-        self._slips = np.flatnonzero(abs(status) == 1) if rough else np.zeros(0, dtype=np.intp)
+        along = (tangents.start + width * self.stuck[:, None] + np.arange(width)).ravel()
+        self.members = np.concatenate([self.closed, along, np.arange(tangents.stop, len(W))])
+        self._slips = np.flatnonzero(abs(status) == 1) if width == 1 else np.zeros(0, dtype=np.intp)
         self._slip_rows, self._of_slips = tangents.start + self._slips, np.searchsorted(self.closed, self._slips)
         self._dragged = (status * ratio)[self._slips]
         self._rows, self._columns = ([part[self.members] for part in errors] for _ in range(2))
@@ -407,8 +436,9 @@ class _System:
             part[self._of_slips] += abs(self._dragged) * whole[self._slip_rows]
         self._symmetric = definite
         if not definite:
-            *self._factor, info = lapack().dgetrf(self._matrix)
-            self.regular = info == 0 or not len(self.members)
+            # LAPACK prints that a matrix of no rows is none of its.
+            found: tuple[Any, ...] = lapack().dgetrf(self._matrix) if len(self.members) else (0,)
+            self._factor, self.regular = list(found[:-1]), found[-1] == 0
         else:
             factor = lower_factor(self._matrix)
             self._factor, self.regular = [factor], factor is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.analysis import many_loads
+from contactqp.linalg.exact_algebra import dot, solutions
 
 BAR = cq.ContactProblem([[157500.0]], [0.0], [[1.0]], [1e-3], units={"length": "m", "force": "kN"})
 
@@ -325,6 +327,89 @@ def test_no_bound_with_friction_is_below_the_true_error(seed: int, monkeypatch: 
             rubs |= set(many.contact_status[i].tolist())
     assert seen > 10
     assert rubs >= {"open", "slip"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_what_sticks_in_space_is_proven_and_no_bound_is_below_the_true_error(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against Fractions: forces on open and sticking contacts solve a linear system, and meet the law there."""
+    monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
+    rng, found, seen = np.random.default_rng(seed), 0, set()
+    for _ in range(6):
+        shape, rows = rng.integers(-3, 4, (9, 9)).astype(float), rng.integers(-2, 3, (7, 9)).astype(float)
+        rows[:2] += 3 * np.eye(2, 9)
+        K, N, T, A = shape @ shape.T + 2 * np.eye(9), rows[:2] * 4.0, rows[2:6], rows[6:]
+        mu, origin, gap = np.array([2.0, 8.0]), np.array([[0.5, 0.0], [-0.25, 0.25]]), [0.125, 0.25]
+        problem = cq.ContactProblem(K, np.zeros(9), N, gap, T, mu, origin, tie=A, tie_value=[0.25])
+        loads = rng.integers(-9, 10, (12, 9)).astype(float)
+        loads[6:] += rng.integers(0, 9, (6, 2)) @ N
+        loads[0] = 0.0  # nothing slips in the first case
+        many = cq.solve_many(problem, loads=loads)
+        found += int(many.work.routes[0].split()[2]) if many.work.routes else 0
+        for i in np.flatnonzero(np.isfinite(many.force_bound).all(axis=1)):
+            status = many.contact_status[i].tolist()
+            if "slip" in status:
+                continue
+            held = [j for j, word in enumerate(status) if word == "stick"]
+            along = [2 * j + k for j in held for k in range(2)]
+            E = np.vstack([N[held], T[along], A])
+            right = [*loads[i], *np.array(gap)[held], *origin.ravel()[along], 0.25]
+            system = np.block([[K, E.T], [E, np.zeros((len(E), len(E)))]])
+            exact = solutions(
+                [list(map(Fraction, [*row, b])) for row, b in zip(system, right, strict=True)], 9 + len(E)
+            )
+            u, forces = exact.point[:9], exact.point[9:]
+            normal, drag = np.zeros(2), np.zeros((2, 2))
+            for place, j in enumerate(held):
+                push = forces[place]
+                pair = forces[len(held) + 2 * place : len(held) + 2 * place + 2]
+                assert push > 0
+                assert pair[0] ** 2 + pair[1] ** 2 < (Fraction(mu[j]) * push) ** 2
+                normal[j], drag[j] = push, pair
+            opened = [Fraction(gap[j]) - dot(list(map(Fraction, N[j])), u) for j in range(2) if j not in held]
+            assert all(one > 0 for one in opened)
+            off = np.hypot(many.normal_force[i] - normal, np.linalg.norm(many.friction_force[i] - drag, axis=1))
+            assert np.all(off <= many.force_bound[i])
+            seen |= set(status)
+    assert found > 5
+    assert seen == {"open", "stick"}
+
+
+@pytest.mark.slow
+def test_a_block_in_space_that_sticks_is_proven_and_one_that_slips_is_solved(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(many_loads, "FEWEST_UNKNOWNS", 0)
+    block = cq.Body(cq.box((2.0, 2.0, 1.0), (6, 6, 3)), cq.Material(1e4, 0.3), "3d", name="block")
+    structure = cq.Structure([block])
+    system = structure.assemble([cq.Support("block", "top", axis) for axis in range(3)])
+    floor = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0, -1e-4], [0.0, 0.0, 1.0]))
+    problem, rng = system.problem([floor], friction=1.5), np.random.default_rng(1)
+    push = np.zeros((24, problem.dimension))
+    push[:, problem.normal.indices] = -rng.uniform(0.5, 0.7, (24, problem.contacts))
+    push[:, problem.tangent.indices] += rng.uniform(-0.02, 0.02, (24, len(problem.tangent.indices)))
+    push[7] = 0.0  # nothing touches
+    many = cq.solve_many(problem, loads=push)
+    assert many.work.routes == ("influence functions: 24 of 24 cases",)
+    assert many.proven.all()
+    for i in (0, 3, 7, 23):
+        alone = cq.solve(problem.replace(load=push[i]))
+        off = np.hypot(
+            many.normal_force[i] - alone.normal_force,
+            np.linalg.norm(many.friction_force[i] - alone.friction_force, axis=1),
+        )
+        assert np.all(off <= many.force_bound[i])
+        assert many.contact_status[i].tolist() == alone.contact_status.tolist()
+        assert many[i].certificate.passed
+        assert many.displacement(i) == pytest.approx(alone.displacement, abs=1e-12 * np.max(abs(alone.displacement)))
+    push[:, problem.tangent.indices] += 2.0
+    slides = cq.solve_many(problem, loads=push[:3])
+    assert slides.passed.all()
+    assert not slides.work.routes
+    assert "slip" in slides.contact_status[0]
+    assert capfd.readouterr() == ("", "")
 
 
 def test_what_is_close_to_another_set_is_left_to_solve(monkeypatch: pytest.MonkeyPatch) -> None:
