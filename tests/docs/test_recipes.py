@@ -34,7 +34,7 @@ def environment() -> dict[str, str]:
 
 def installed(module: str) -> bool:
     try:
-        asked = subprocess.run([SYSTEM, "-c", f"import {module}"], capture_output=True, env=environment())
+        asked = subprocess.run([SYSTEM, "-c", f"import scipy, {module}"], capture_output=True, env=environment())
     except OSError:
         return False
     return asked.returncode == 0
@@ -57,7 +57,7 @@ def test_there_is_a_recipe_of_every_code() -> None:
 def test_recipe(name: str, needed: str, text: str, tmp_path: Path) -> None:
     compile(text, name, "exec")
     if needed and not installed(MODULES[needed]):
-        pytest.skip(f"{SYSTEM} has no {MODULES[needed]}: compiled, not run")
+        pytest.skip(f"{SYSTEM} has no SciPy, or no {MODULES[needed]}: compiled, not run")
     if "skfem" in text:
         pytest.importorskip("skfem")
     script = tmp_path / "recipe.py"
