@@ -175,7 +175,8 @@ def by_quotients(tally: Tally, where: str, answer: Any, solution: cq.Solution, a
     of_all = sizes(problem, solution)
     moved = solution.derivative("displacement", parameter, direction)
     unit, least = of_all[name], ROUNDED * _size_of_lengths(solution, moved, of_all) if name in LENGTHS else 0.0
-    reach = solution.derivative("normal_force", parameter, direction).reach or (np.inf, np.inf)
+    pushed = solution.derivative("normal_force", parameter, direction)
+    reach = np.min([one.reach or (np.inf, np.inf) for one in (moved, pushed)], axis=0)
     for side, sign, event in ((found.left, -1, reach[0]), (found.right, 1, reach[1])):
         if event < STEP:
             tally.counts["none: exact alone, an event within the step"] += 1
