@@ -199,9 +199,8 @@ def _judged(
         measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
     else:
         measured = _measured(near.problem, seen, tolerance, error_tolerance, None, prove_friction)
-        found, bounds = near.violations(measured.found), near.bounds(measured.bounds)
-        gap = problem.gap - problem.normal @ answer.displacement
-        measured = replace(measured, found=replace(found, gap=gap), bounds=bounds)
+        found = replace(near.violations(measured.found), gap=problem.gap - problem.normal @ answer.displacement)
+        measured = replace(measured, found=found, bounds=near.bounds(measured.bounds))
     return _worded(problem, answer, measured, tolerance, error_tolerance)
 
 
@@ -256,10 +255,10 @@ def _measured(
                 bounds = no_bounds(reason if condensation is None else NOT_COMPARED)
             bounds = bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
         state = state or StateVerdict(bounds.basis)
+    dependent = _dependent_ties(problem, condensation, bounds) if problem.ties > 1 else ()
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
-    off = fails_force_bound(bounds, error_tolerance, 0.0)
-    if off:  # beside a gap that a body crosses rigidly S is far more than what presses it
-        pushed = float(np.max(problem.own_scale * problem.load_size, initial=0.0))
+    if off := fails_force_bound(bounds, error_tolerance, 0.0):
+        pushed = float(np.max(problem.own_scale * problem.load_size, initial=0.0))  # S may be a gap crossed rigidly
         smooth = pushed > 0 and not problem.frictional
         off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
     if problem.frictional and (any(failed_errors(bounds, error_tolerance, nothing)) or off):
@@ -272,10 +271,11 @@ def _measured(
         errors=(
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
+            *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),
         ),
         fails_force_bound=off,
         grazing=grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
-        dependent=_dependent_ties(problem, condensation, bounds) if problem.ties > 1 else (),
+        dependent=dependent,
         others=others,
         state=state,
     )

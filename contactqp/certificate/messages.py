@@ -9,6 +9,7 @@ import numpy as np
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.certificate.uniqueness import UNKNOWN
+from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
@@ -182,6 +183,7 @@ def _with_unit(unit: str) -> str:
 
 
 # Of an answer without friction; with it `contactqp.certificate.uniqueness` says so.
+NEARLY_DEPENDENT = "ties that nearly depend on each other prescribe more than doubles tell; state them apart"
 FORCES_NOT_UNIQUE = (
     "forces are not unique: closed contacts or ties depend on each other, and other answers share their forces "
     "differently (contactqp.exact gives the range of each)"
@@ -210,6 +212,28 @@ def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, In
     if len(dependent) > MOST_NAMED:
         sentences.append(f"{len(dependent) - MOST_NAMED} more ties depend on others")
     return tuple(sentences)
+
+
+def of_missed_ties(
+    problem: ContactProblem, answer: Answer, dependent: Sequence[tuple[int, Indices]], tolerance: float
+) -> Iterator[str]:
+    """Yield that a tie is missed that the bounds have set aside: where the others are met it misses rounding alone.
+
+    Parameters
+    ----------
+    problem, answer : what is judged
+    dependent : as in `of_dependent_ties`
+    tolerance : the part of the lengths that meet at a tie which it may miss
+    """
+    ties = [i for i, _ in dependent]
+    rows, value = problem.tie[ties], problem.tie_value[ties]
+    missed = abs((SparseRows(rows) @ extend(answer.displacement) - extend(value)).double())
+    meeting = abs(rows) @ abs(answer.displacement) + abs(value)
+    for i in np.flatnonzero(missed > tolerance * meeting)[:MOST_NAMED]:
+        yield (
+            f"{problem.tie_name(ties[i])} depends on other ties, and is missed by {missed[i] / meeting[i]:.2g} of "
+            f"the lengths that meet there: {NEARLY_DEPENDENT}"
+        )
 
 
 def of_printing(problem: ContactProblem) -> str:

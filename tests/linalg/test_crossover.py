@@ -245,5 +245,5 @@ def test_lengths_that_underflow_have_no_vertex_in_their_units() -> None:
     load = [-5.76754491e146, -2.47568053e091, -6.47435169e267, 2.81705551e152, -3.51264070e265]
     tie, value = [[-2, 2, -2, -2, 1], [-1, 1, -2, -2, 0]], [6.17948456e-42, 2.00568557e-41]
     problem = cq.ContactProblem(stiffness, load, normal=np.zeros((0, 5)), gap=[], tie=tie, tie_value=value)
-    u, A = cq.solve(problem).displacement, np.array(tie)
-    assert np.all(abs(A @ u - value) <= 1e-6 * (abs(A) @ abs(u)))  # what the solve in doubles rounds beside strains
+    with pytest.raises(cq.NotCertified, match=r"tie 1 depends on other ties, and is missed by 7\.2e-07"):
+        cq.solve(problem)
