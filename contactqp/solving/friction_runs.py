@@ -423,10 +423,10 @@ def run_on_combination(
 def found_by_enumeration(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     """Find every equilibrium of a small problem, in rationals where floats find none.
 
-    Raises Unsupported as `run_friction` does, NotConverged as `_in_rationals` does.
+    Raises Unsupported as `run_friction` does.
     """
     few = problem.contacts <= MOST_PROVEN and problem.dimension <= MOST_UNKNOWNS
-    return _in_floats(problem) or (_in_rationals(problem) if few else ())
+    return _in_floats(problem) or (_that_hold(problem, rounded_equilibria(problem)) if few else ())
 
 
 def _in_floats(problem: ContactProblem) -> tuple[FrictionRun, ...]:
@@ -440,10 +440,15 @@ def _in_floats(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     return tuple(FrictionRun(problem, one.answer, "enumeration", meter) for one in found)
 
 
+def _that_hold(problem: ContactProblem, exact: list[Answer]) -> tuple[FrictionRun, ...]:
+    """Return the equilibria that satisfy the law as doubles, too: those that rounding of a singular K makes do not."""
+    return tuple(FrictionRun(problem, one, "enumeration") for one in exact if holds(problem, one))
+
+
 def _in_rationals(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     """Return the equilibria in rational numbers, rounded; NotConverged where none satisfies the law any more."""
     exact = rounded_equilibria(problem)
-    found = tuple(FrictionRun(problem, one, "enumeration") for one in exact if holds(problem, one))
+    found = _that_hold(problem, exact)
     if exact and not found:
         raise NotConverged(f"{NONE_IN_FLOATS}, and in rational numbers there is one: see contactqp.exact_equilibria")
     return found

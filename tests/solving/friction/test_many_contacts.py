@@ -86,7 +86,9 @@ def test_a_combination_near_a_factorised_one_is_solved_by_its_factors(seed: int)
     assert by_factors.regular
     assert anew.regular
     right = [rng.normal(size=size) for size in (problem.dimension, m, m, problem.ties)]
-    for here, there in zip(by_factors.correct(*right), anew.correct(*right), strict=True):
+    found, expected = (vars(system.correct(*right)) for system in (by_factors, anew))
+    assert len(expected) == 4
+    for here, there in zip(found.values(), expected.values(), strict=True):
         assert here == pytest.approx(there, abs=1e-11 * float(np.max(abs(there), initial=0.0)))
 
 

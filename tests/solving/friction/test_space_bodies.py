@@ -234,8 +234,11 @@ def test_polygons_of_more_and_more_sides_approach_the_cone() -> None:
 
 
 @pytest.mark.slow
-def test_a_column_in_a_corner_is_held_where_tresca_problems_alone_come_to_an_answer() -> None:
-    """It stands on a bowl and along a wall, off the bowl's middle: without friction it would slide."""
+def test_a_column_in_a_corner_is_held_where_few_algorithms_come_to_an_answer() -> None:
+    """It stands on a bowl and along a wall, off the bowl's middle: without friction it would slide.
+
+    Newton's method, Gauss-Seidel and proximal points miss it; convex steps come to it.
+    """
     mesh = box((1.0, 1.5, 7.6), (1, 3, 2), "hex8", grading=50.0)
     structure = cq.Structure([cq.Body(mesh, cq.Material(1.0, 0.499), "3d", name="column")])
     bowl = cq.pair(structure.surface("column", "bottom"), cq.Paraboloid([0.45, 1.45, 0.0], [0.0, 0.0, 1.0], 0.9))
@@ -245,5 +248,5 @@ def test_a_column_in_a_corner_is_held_where_tresca_problems_alone_come_to_an_ans
     load[3 * top + 2] = -1e-4 / len(top)
     solution = cq.solve(structure.assemble([]).problem([bowl, wall], friction=0.8).replace(load=load))
     assert solution.certificate.passed
-    assert solution.method.startswith("Tresca")
+    assert solution.method.startswith(("Tresca", "aclm"))
     assert solution.normal_force.max() > 1e-5
