@@ -353,6 +353,16 @@ class SlipsNearby:
         """Return the largest slip (q,) of each contact for a y of length one."""
         return np.linalg.norm(self.slip, ord=2, axis=(1, 2)) if self.slip.size else np.zeros(0)
 
+    @property
+    def growth(self) -> float:
+        """Return by how much an error of forces may grow in slips where the compliance is not symmetric, at least 1."""
+        if self.slip is self.drive:
+            return 1.0
+        p = self.pushed.shape[1]
+        return (
+            max(1.0, float(np.linalg.norm(np.linalg.solve(self.drive.reshape(p, p), self.slip.reshape(p, p)), 2))) ** 2
+        )
+
     def settled(self, push: Vector, slip: Array, allowance: float, most: float) -> Settled | None:
         """Return a ball around slips s (q, d-1) with forces N (q,) in which one answer is at most, or None.
 
@@ -449,9 +459,9 @@ def slips_nearby(
 
 
 def coupling(force: Array, slip: Array, mu: Vector) -> float:
-    """Return the largest 1/2 sum mu_i (c_i d_N,i^2 + |e_i|^2 / c_i), c_i > 0, over vectors y of length one.
+    """Return the largest 1/2 sum mu_i (c_i d_N,i^2 + |e_i|^2 / c_i) over vectors y of length one.
 
-    That is at least the largest sum mu_i |d_N,i| |e_i|.
+    That is at least the largest sum mu_i |d_N,i| |e_i|, for any weights c_i > 0; the better of two choices is taken.
 
     Parameters
     ----------

@@ -254,6 +254,7 @@ def _nearest(
     missed = slips.mu[:, None] * refined.normal[slides, None] * directions(refined.slip[slides]) - force
     off = np.linalg.norm(missed, axis=1) + ROUNDED * np.linalg.norm(force, axis=1)
     # What refinement leaves moves slips, which J^-1 (J - I) takes to y, and forces, which J^-1 does.
+    left = left * slips.growth
     error = ((1 + 2 * found.inverse) * left + float(found.spread @ off)) / found.slack
     return (error, found.radius) if error < found.radius else nearby
 
