@@ -158,10 +158,10 @@ def test_plane_stress_and_axial_symmetry_tell_where_calculix_differs(tmp_path: p
 
 def test_many_lines_of_loads_are_read_in_little_time(tmp_path: pathlib.Path) -> None:
     free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*DLOAD\n" + "2, P2, 0.01\n" * 3000)
-    began = time.perf_counter()
+    began = time.process_time()
     deck = cq.read_deck(write(tmp_path, free))
     assert deck.problem().load.sum() == pytest.approx(-30.0)
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began < 5
 
 
 LOADS = {
