@@ -13,6 +13,8 @@ import resource
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -182,18 +184,17 @@ def reworded(text: str, random: np.random.Generator) -> str:
     return "\n".join(lines) + "\n"
 
 
-def large_decks() -> dict[str, str]:
-    """Return decks of quadratic tetrahedra, two bodies each whose meshes do not match."""
-    found = {}
+def large_decks() -> dict[str, Callable[[], str]]:
+    """Return by name what writes decks of quadratic tetrahedra, two bodies each whose meshes do not match."""
+    found: dict[str, Callable[[], str]] = {}
+    blocks = dict(divisions=((9, 9, 7), (8, 8, 5)))
+    rings = dict(element="tet10", divisions=((6, 28, 3), (6, 24, 3)))
     for kind, stiff in STIFF.items():
-        blocks = two_blocks("tet10", kind, stiff, divisions=((9, 9, 7), (8, 8, 5)))
-        rings = press_fit(kind, stiff, element="tet10", divisions=((6, 28, 3), (6, 24, 3)))
-        found |= {f"two blocks, {kind.lower()}": blocks, f"press fit, {kind.lower()}": rings}
+        found[f"two blocks, {kind.lower()}"] = partial(two_blocks, "tet10", kind, stiff, **blocks)
+        found[f"press fit, {kind.lower()}"] = partial(press_fit, kind, stiff, **rings)
     for kind, stiff in STIFF.items():  # in partial slip
         named = f"two blocks with friction, {kind.lower()}"
-        found[named] = two_blocks(
-            "tet10", kind, stiff, divisions=((9, 9, 7), (8, 8, 5)), push=5e-4, friction="0.3, 1e7"
-        )
+        found[named] = partial(two_blocks, "tet10", kind, stiff, **blocks, push=5e-4, friction="0.3, 1e7")
     return found
 
 
@@ -208,10 +209,10 @@ def judge_large(folder: Path, word: str = "") -> bool:
     print("| deck | unknowns | contacts | CalculiX | exact | off | a node | seconds | of processors | its own | ours |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     right = True
-    for number, (name, text) in enumerate(large_decks().items()):
+    for number, (name, deck) in enumerate(large_decks().items()):
         if word not in name:
             continue
-        file = write(folder, text, f"deck{number}.inp")
+        file = write(folder, deck(), f"deck{number}.inp")
         problem = cq.read_deck(file).problem()
         began, before = time.monotonic(), used()
         found = cq.crosscheck(file)

@@ -251,8 +251,10 @@ WITH_DISPLACEMENT_AND_FORCE = 14
 
 def classes_with_displacement_and_force(source: str) -> list[str]:
     """Return the classes that have a field `displacement` and one of forces, flags aside."""
-    found = []
-    for node in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)):
+    found: list[str] = []
+    if not re.search(r"^\s+displacement\s*:", source, re.MULTILINE):  # most files, which need not be parsed
+        return found
+    for node in (node for node in statements(ast.parse(source)) if isinstance(node, ast.ClassDef)):
         fields = [
             part for part in node.body if isinstance(part, ast.AnnAssign) and ast.unparse(part.annotation) != "bool"
         ]

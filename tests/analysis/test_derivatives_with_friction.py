@@ -281,6 +281,7 @@ def at_borders_in_space(rng: np.random.Generator) -> cq.ContactProblem:
     return cq.ContactProblem(K, load, E, gap, T, 0.25, origin)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("problems", "seed"), [(2, 6), pytest.param(60, 3, marks=pytest.mark.slow)])
 def test_rates_at_borders_in_space_are_differences_of_answers(problems: int, seed: int) -> None:
     rng, seen, two_sided, missing, step = np.random.default_rng(seed), 0, 0, 0, 2.0**-20

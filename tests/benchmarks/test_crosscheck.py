@@ -144,6 +144,7 @@ def test_getfem_multipliers_of_open_contacts_are_r_times_the_gap(folder: Path) -
     assert np.allclose(force[pulling], -YOUNG * right.gap[pulling], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_petsc_presses_across_gaps_below_its_zero_tolerance(folder: Path) -> None:
     found = solved("vinewtonrsls in metres", folder)
     assert found.said.startswith("converged")

@@ -208,6 +208,7 @@ def test_no_bound_is_below_the_distance_to_the_answer_in_space(floating: bool, p
     assert min(proven["local"], proven["global"] or least * floating) >= least, proven
 
 
+@pytest.mark.slow
 def test_slips_that_may_turn_each_other_are_proven_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
     """By Newton and Kantorovich: of all slips here, also of those whose constant of monotonicity is not below one."""
     known, seen = frictional_bounds.slips_nearby, []
@@ -429,6 +430,7 @@ def test_rough_contacts_are_proven_whatever_systems_solve_them(model: str, tied:
     assert not wrong.proven or max(wrong.force_bound) >= 1e-3 * max(solution.normal_force)
 
 
+@pytest.mark.slow
 def test_two_hundred_contacts_are_proven_and_condensed_where_that_is_asked_for() -> None:
     problem = block(rectangle(2.0, 0.5, (199, 8)), "plane-strain", 0.2, tied=False)
     assert systems_of(problem) is Systems.SPARSE

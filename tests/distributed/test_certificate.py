@@ -53,6 +53,7 @@ def test_every_figure_and_word_is_that_of_one_process(
     assert unbalanced, "no answer leaves a floating body without balance"
 
 
+@pytest.mark.slow
 def test_what_is_made_for_one_rule_is_judged_as_by_one_process(on_ranks: Callable[..., str]) -> None:
     """A tie that an unknown without stiffness takes up hides no tension; forces behind a rigid motion are judged.
 

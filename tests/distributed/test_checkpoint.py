@@ -76,6 +76,7 @@ def run(case, folder) -> list[object]:
     return ["run", case, "--engine", "petsc", "--checkpoint", folder]
 
 
+@pytest.mark.slow
 def test_what_is_no_folder_of_this_case_is_refused_in_one_line(commands, kept, tmp_path):
     case, folder = kept
     shutil.copytree(folder, half := tmp_path / "half")

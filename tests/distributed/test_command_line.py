@@ -78,6 +78,7 @@ def test_bodies_in_pieces_are_drawn_and_written(python_on_ranks, tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["hertz_path.toml", "p.history.png", "p.png", "v.vtu"]
 
 
+@pytest.mark.slow
 def test_what_is_not_offered_there_is_refused_in_one_line(commands):
     asked = {
         ("bar_bounces.toml",): "engine 'petsc': a motion",

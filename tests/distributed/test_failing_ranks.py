@@ -36,7 +36,7 @@ def run(python_on_ranks, tmp_path, kind, rank=1, *more):
     return done
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("kind", "code", "said", "traced"),
     [

@@ -68,6 +68,7 @@ def test_wrong_answers_are_refused(on_ranks: Callable[..., str], count: int) -> 
     assert "refused" in on_ranks("friction_refused.py", count)
 
 
+@pytest.mark.slow
 def test_what_is_lifted_is_anchored_where_it_lands_on_ranks_too(on_ranks: Callable[..., str]) -> None:
     assert "where it lands" in on_ranks("friction_path.py", 2, "lifted")
 

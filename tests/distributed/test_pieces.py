@@ -70,6 +70,7 @@ def of_a_file(tmp_path):
     return tmp_path / "of_a_file.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", RANKS)
 def test_the_problem_is_that_of_one_process(on_ranks, ranks, of_a_file):
     said = on_ranks("same_as_one_process.py", ranks, *(FOLDER / f"{name}.toml" for name in CASES), of_a_file)

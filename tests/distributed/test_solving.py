@@ -36,18 +36,20 @@ def test_small_ones_on_every_number_of_ranks(on_ranks: Callable[..., str], count
     assert len(on_ranks("answers_as_one_process.py", count, "auto", "floating_disc", *NODES).splitlines()) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "solver"), [(2, "gamg"), pytest.param(2, "hypre", marks=pytest.mark.slow)])
 def test_no_preconditioner_changes_the_answer(on_ranks: Callable[..., str], count: int, solver: str) -> None:
     cases = ("block_on_paraboloid", "stacked_blocks", "tie_symmetry")
     assert len(on_ranks("answers_as_one_process.py", count, solver, *cases).splitlines()) == len(cases)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_options_name_other_preconditioners(on_ranks: Callable[..., str], count: int) -> None:
     assert on_ranks("other_preconditioners.py", count).strip() == "obeyed"
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_refused_on_two_ranks(on_ranks: Callable[..., str]) -> None:
     """What the slow tests show of each script on more ranks, those of bounds and of friction included."""
     scripts = ("refused_answers.py", "refused_arguments.py", "bounds.py", "friction_refused.py")
@@ -80,11 +82,13 @@ def test_solutions_again_and_again_take_no_more_memory(on_ranks: Callable[..., s
     assert on_ranks("same_memory.py", 2).strip() == "the same"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_petscs_solvers_agree_with_the_active_set_and_are_judged_as_it_is(on_ranks, ranks, tmp_path):
     assert on_ranks("comparing.py", ranks, tmp_path) == "compared\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3))])
 def test_its_levels_are_those_of_whole_matrices_and_its_spectrum_ends_at_one(
     on_ranks: Callable[..., str], count: int

@@ -110,6 +110,7 @@ def test_rounding_of_a_load_drives_nothing(method: str) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_load_that_may_be_rounding_is_told_where_nothing_is_found() -> None:
     load = 300 * np.array([math.cos(math.pi), math.sin(math.pi)])
     stopped = cq.ContactProblem(np.diag([157500.0, 0.0]), load, [[-1.0, 0.0], [0.0, -1.0]], [1e-3, 1.0])
@@ -264,6 +265,7 @@ def held_grid(side: int, flux: float) -> cq.ContactProblem:
     return cq.ContactProblem(sp.identity(size, format="csr"), np.ones(size), both, gap, tie=tie, tie_value=value)
 
 
+@pytest.mark.slow
 def test_forces_that_diverge_prove_a_conflict_without_a_linear_program(monkeypatch: pytest.MonkeyPatch) -> None:
     """A linear program took a minute of these constraints, of which an interior point's forces are the proof."""
     monkeypatch.setattr(existence, "_least_excess", None)
@@ -293,6 +295,7 @@ def test_a_displacement_that_diverges_proves_a_drive_without_a_linear_program(mo
     assert load @ proof.motion > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [3_000, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_a_smooth_motion_of_a_long_chain_is_no_proof(size: int) -> None:
     """A beam of ten thousand differences resists it by less than rounding of its entries, and holds all the same."""

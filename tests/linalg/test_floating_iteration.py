@@ -195,6 +195,7 @@ def test_where_stated_motions_are_not_all_the_body_is_factorised_after_all():
     assert found.normal_force == pytest.approx(reference.normal_force, abs=1e-8 * np.max(reference.normal_force))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("large")
 def test_derivatives_of_an_answer_by_iteration_factorise_the_body(monkeypatch):
     monkeypatch.setattr("contactqp.linalg.pardiso.available", lambda: True)

@@ -78,6 +78,7 @@ def test_friction_is_factorised_at_any_size() -> None:
     assert "slip" in solution.contact_status or "stick" in solution.contact_status
 
 
+@pytest.mark.slow
 @needs_pardiso
 def test_factors_that_do_not_fit_are_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fresh(on_paraboloid((14, 14, 8)))

@@ -73,6 +73,7 @@ def test_a_path_costs_one_factorisation():
     assert clock.back_substitutions >= len(history)
 
 
+@pytest.mark.slow
 def test_scipy_imported_without_the_rest_of_numpy_has_all_of_it_when_asked() -> None:
     """In a process of its own: names and listing of NumPy are what they were, and SciPy's copy finds what it lacked."""
     code = """

@@ -63,6 +63,7 @@ def test_the_springs_that_a_deck_states_are_told_apart(tmp_path: pathlib.Path) -
     assert cq.crosscheck(deck, results, error_tolerance=0.1).passed
 
 
+@pytest.mark.slow
 def test_friction_that_yields_is_wrong_where_the_normal_forces_are_right(tmp_path: pathlib.Path) -> None:
     text = two_blocks("hex8", "NODE TO SURFACE", "LINEAR\n1e9", divisions=((2, 2, 1), (3, 3, 1)), push=3e-5,
                       friction="0.3, 1e5")  # fmt: skip
@@ -95,7 +96,7 @@ def test_friction_of_a_block_that_slips_is_its_part_of_the_normal_force(
     assert pair.friction == pytest.approx(pair.reference_friction, rel=2e-2)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("push", [1e-4, 1e-2])
 def test_friction_of_many_faces_is_that_of_nodes_and_what_both_differ_by_on_springs(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, push: float
@@ -295,6 +296,7 @@ def test_pressures_on_the_axis_of_round_blocks_are_those_beside_it(tmp_path: pat
     assert pair.force.sum() == pytest.approx(1.1 * pair.reference_resultant, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_both_pressures_and_their_difference_are_drawn(
     tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ def test_blocks_that_do_not_match_are_right(tmp_path: pathlib.Path, element: str
     assert found.passed, found.summary()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "stiffness"),
     [("hex8", "1e7"), ("hex20", "1e5"), pytest.param("tet10", "1e7", marks=pytest.mark.slow)],
@@ -134,8 +136,8 @@ def test_a_tie_moves_as_in_calculix(tmp_path: pathlib.Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*large_decks(), "hexahedra"])
 def test_bodies_of_twenty_thousand_unknowns_take_less_than_two_minutes(tmp_path: pathlib.Path, name: str) -> None:
-    hexahedra = two_blocks("hex20", NODES, "LINEAR\n1e8, 1e-6", divisions=((12, 12, 7), (10, 10, 6)))
-    deck = write(tmp_path, (large_decks() | {"hexahedra": hexahedra})[name])
+    hexahedra = partial(two_blocks, "hex20", NODES, "LINEAR\n1e8, 1e-6", divisions=((12, 12, 7), (10, 10, 6)))
+    deck = write(tmp_path, (large_decks() | {"hexahedra": hexahedra})[name]())
     assert len(cq.read_deck(deck).dof_names) >= 20_000
     began, before = time.monotonic(), sum(used())
     found = cq.crosscheck(deck)
@@ -205,7 +207,7 @@ def in_metres(text: str) -> str:
     return "\n".join([*lines, ""])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [NODES, FACES])
 def test_a_verdict_is_the_same_in_other_units(tmp_path: pathlib.Path, kind: str) -> None:
     text = two_blocks("hex8", kind, STIFF[kind])

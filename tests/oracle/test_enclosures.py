@@ -226,6 +226,7 @@ def test_refinement_ends_when_what_is_left_no_longer_falls(monkeypatch: pytest.M
         refine(problem, digits=40)
 
 
+@pytest.mark.slow
 def test_refinement_ends_where_a_correction_has_no_answer() -> None:
     # Units 1e54 apart: a correction has no answer in doubles, and forty rounds change nothing of what is left.
     problem = cq.ContactProblem(

@@ -297,7 +297,7 @@ def test_gaps_that_are_rounding_stand_as_zero_beside_wrong_ones() -> None:
     assert [one.right_gap for one in closed] == [0.0] * len(closed)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("energies", [np.zeros((3, 3)), np.diag([0.0, 0.0, 2.0])])
 def test_contacts_of_another_best_vertex_are_not_called_wrong(energies: np.ndarray) -> None:
     # x_0 + x_1 <= 1 closes: all answers between its two ends have the same energy. x_2 rests at 1.

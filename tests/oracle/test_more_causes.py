@@ -223,6 +223,7 @@ def _printed(values: list[float], count: int) -> list[float]:
     return [float(f"{value:.{count - 1}e}") for value in values]
 
 
+@pytest.mark.slow
 def test_of_several_answers_a_printed_one_is_near_its_own() -> None:
     """Three contacts of a node share its friction: the shares of another equilibrium are no right ones to these."""
     load, push = 1.2345678, [2.4691356, 4.9382712, 2.4691356]

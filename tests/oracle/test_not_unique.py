@@ -154,6 +154,7 @@ def test_every_share_of_a_force_between_contacts_and_a_tie_is_right(taken: float
     assert cq.certify(node, [0.0, 0.0], printed, None, [taken], 1e-5, 1e-4).passed
 
 
+@pytest.mark.slow
 def test_exact_forces_of_programs_with_dependent_rows_and_ties_are_right() -> None:
     """Whole numbers: f is made of u, l and nu, which are therefore an answer; no other is known beforehand."""
     rng = np.random.default_rng(5)

@@ -94,6 +94,7 @@ def test_the_map_of_a_pairing_in_space_has_arrows_of_friction():
     np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1) / np.hypot(arrows.U, arrows.V)[:, None], along)
 
 
+@pytest.mark.slow
 def test_the_legend_of_a_flat_map_covers_neither_the_name_of_its_axis_nor_the_scale_of_colours():
     body = cq.Body(cq.box((40.0, 20.0, 10.0), (4, 2, 1)), cq.Material(modulus=1.0, poisson=0.3), "3d", name="block")
     structure = cq.Structure([body])

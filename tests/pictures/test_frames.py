@@ -219,6 +219,7 @@ def test_three_dimensions():
     assert figure.axes[0].get_zlabel() == "z [m]"
 
 
+@pytest.mark.slow
 def test_names_of_nodes_in_space_stand_in_front_of_obstacles_and_arrows():
     axes = structure_figure(fields("block_on_incline_sideways")).axes[0]
     axes.figure.canvas.draw()  # which sorts what is in space by its depth

@@ -46,6 +46,7 @@ def in_steps(steps: list[str], before: str = "", stack: str = STACK) -> str:
     return head.replace("\n\n", "\n")
 
 
+@pytest.mark.sampled(3)
 @needs_calculix
 @pytest.mark.parametrize("name", STEPS)
 def test_loads_of_steps_are_those_of_calculix(tmp_path: pathlib.Path, name: str) -> None:
@@ -92,6 +93,7 @@ STRAIGHT = ["*BOUNDARY\nTOP, 1, 1, 0.038\nTOP, 3, 3, -0.03"]
 BACK_AND_FORTH = ["*BOUNDARY\nTOP, 1, 1\nTOP, 3, 3, -0.03", "*BOUNDARY\nTOP, 1, 1, 0.04", "*BOUNDARY\nTOP, 1, 1, 0.038"]
 
 
+@pytest.mark.slow
 def test_slip_starts_from_where_the_step_before_ended(tmp_path: pathlib.Path) -> None:
     assert " 7, 2., 2., 1.\n" in RUBBING
     pressed, aside, back = (solved(tmp_path, BACK_AND_FORTH[:count]) for count in (1, 2, 3))
@@ -107,6 +109,7 @@ def test_slip_starts_from_where_the_step_before_ended(tmp_path: pathlib.Path) ->
     assert np.allclose(still.friction_force, aside.friction_force, rtol=1e-9)
 
 
+@pytest.mark.slow
 @needs_calculix
 def test_friction_over_steps_is_that_of_calculix(tmp_path: pathlib.Path) -> None:
     text = in_steps(BACK_AND_FORTH, stack=RUBBING)

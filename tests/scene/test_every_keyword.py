@@ -237,6 +237,7 @@ def folder(tmp_path: pathlib.Path) -> pathlib.Path:
     return tmp_path
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", SOLVED)
 def test_a_deck_has_its_answer(folder: pathlib.Path, name: str) -> None:
     stated = SOLVED[name]
@@ -337,6 +338,7 @@ def test_a_misspelled_keyword_is_answered_with_the_nearest(folder: pathlib.Path)
         assert "the nearest one is *" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "count"), [(0, 40), pytest.param(40, 2000, marks=pytest.mark.slow)])
 def test_decks_in_other_words_are_solved_or_refused_in_one_line(folder: pathlib.Path, first: int, count: int) -> None:
     """Words in the place of others, lines and cards that are missing, stand twice or elsewhere, other numbers."""

@@ -163,6 +163,7 @@ def test_a_law_that_cannot_bear_a_bar_of_no_length_keeps_all_from_it():
     assert np.isfinite(DeformableModel(build(Scene(**ARCH, **BY_LOAD))).body.energy(np.array([-1.0, -0.2])))
 
 
+@pytest.mark.slow
 def test_friction_on_a_ball_is_along_the_tangents_of_now():
     ball = [{"name": "ball", "kind": "circle", "centre": ["0.1 m", "-0.9 m"], "radius": "1 m"}]
     contacts = [{"name": "foot", "node": "t", "obstacle": "ball", "friction": 0.2}]

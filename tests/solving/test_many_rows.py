@@ -51,6 +51,7 @@ def nearest_with_differences(size: int, order: int, kink: float) -> tuple[cq.Con
     return cq.ContactProblem.from_qp(sp.identity(size), -data, G=-differences, h=np.zeros(size - order)), data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "size", "kink"),
     [
@@ -265,6 +266,7 @@ def heated_from_its_border(cells: int, capped_by: float) -> cq.ContactProblem:
     return cq.ContactProblem.from_qp(K, np.zeros(nodes * nodes), A=tie, b=heat, lb=below, ub=above)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("capped_by", [0.27, pytest.param(1.1e-5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "method", ["active-set", *(pytest.param(x, marks=pytest.mark.slow) for x in ("piqp", "clarabel"))]
@@ -288,5 +290,6 @@ def test_ten_thousand_constraints_that_conflict_are_refused_without_a_linear_pro
     assert overlap > 100 * proof.rounding
 
 
+@pytest.mark.slow
 def test_ten_thousand_constraints_that_nearly_conflict_are_met() -> None:
     assert cq.solve(heated_from_its_border(75, -1e-5)).certificate.proven

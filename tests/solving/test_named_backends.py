@@ -55,7 +55,7 @@ def degenerate(
     return problem, float(0.5 * x @ (K * x) - load @ x)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "seed"), [("piqp", 3), ("piqp", 5), ("piqp", 11), ("clarabel", 5)])
 def test_answers_that_condensed_systems_lose_are_settled_on_sparse_ones(backend: str, seed: int) -> None:
     pytest.importorskip(backend)
@@ -80,7 +80,7 @@ def test_a_backend_that_stops_on_condensed_systems_is_shown_sparse_ones(seed: in
     assert solution.work.routes == ("highs: not solved", "sparse: its answer is certified")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "seed"), [("piqp", 19), ("piqp", 31), ("piqp", 52), ("clarabel", 4), ("clarabel", 16), ("clarabel", 18)]
 )
@@ -170,6 +170,7 @@ def boundary_control(cells: int) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_forces_that_are_unique_are_not_shared_anew_however_large_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Multipliers of the equations are thousands of times the load; a linear program over them took 12 s of 10 000."""
     pressed: list[bool] = []
@@ -189,6 +190,7 @@ def test_forces_that_are_unique_are_not_shared_anew_however_large_they_are(monke
     assert np.sum(solution.normal_force > 0) > 100
 
 
+@pytest.mark.slow
 def test_all_is_made_of_the_answer_of_a_backend_that_stopped_early() -> None:
     """Its guess of the closed contacts leads nowhere; Newton's steps along the central path from it lead on."""
     problem, _ = nearest_with_differences(400, 2, 0.7)

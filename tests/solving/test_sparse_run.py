@@ -96,7 +96,7 @@ def test_a_plate_with_contacts_all_over_stays_sparse() -> None:
     assert sparse.normal_force == pytest.approx(condensed.normal_force, rel=1e-9, abs=1e-14)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["daqp", "lagrange-multiplier"])
 def test_dense_matrices_of_ten_thousand_ties_are_refused_before_they_are_made(method: str) -> None:
     n, ties = 15_000, 10_000
@@ -347,6 +347,7 @@ def test_numbers_that_are_none_solve_nothing() -> None:
         assert not state.holds
 
 
+@pytest.mark.slow
 def test_bounds_on_both_sides_of_a_dense_energy_stay_sparse() -> None:
     # The active set closes them one by one: condensed, 700 unknowns took 13 s of the processor, and these a minute.
     n, random = 700, np.random.default_rng(5)

@@ -57,6 +57,7 @@ def test_a_gap_that_is_rounding_is_told_as_zero() -> None:
     assert told == ["node: closed, force 8.966 N, gap 0 m"]
 
 
+@pytest.mark.slow
 def test_few_arrows_keep_their_colour_beside_large_bodies() -> None:
     drawn = answer_pictures(_judged("stacked_blocks"))
     assert drawn.history is None  # one instant

@@ -198,6 +198,7 @@ def test_a_folder_of_matrices_prints_its_answer_and_draws_forces_and_gaps(capsys
     assert {file.name for file in tmp_path.glob("b*.csv")} == {"b.osqp.csv", "b.lemke.csv"}
 
 
+@pytest.mark.slow
 def test_a_deck_is_drawn_and_written_with_its_bodies(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path, STACK)

@@ -92,6 +92,7 @@ def test_a_journal_cut_at_every_line_gives_the_same_table(
         assert not (folder / JOURNAL).exists()
 
 
+@pytest.mark.slow
 def test_a_changed_case_file_is_run_again_and_the_other_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = [Path(shutil.copy(case, tmp_path)) for case in CASES]
     with monkeypatch.context() as patched:

@@ -155,6 +155,7 @@ def forged(problem: cq.ContactProblem, way: str) -> tuple[Any, ...]:
     return u, normal, friction, right.tie_force
 
 
+@pytest.mark.slow
 def test_an_answer_that_is_not_certifiable_is_solved_further(monkeypatch: pytest.MonkeyPatch) -> None:
     """Solved to the same part it would stay as it is, and be refused until all combinations are used up."""
     asked: list[float] = []
@@ -200,6 +201,7 @@ def beam(springs: int, friction: float) -> cq.ContactProblem:
     return cq.ContactProblem(sp.csc_matrix(chain), load, normal, [0.0], tangent=tangent, friction=friction)
 
 
+@pytest.mark.slow
 def test_an_answer_that_is_far_off_is_told_in_a_few_turns_of_its_slips() -> None:
     """They do not settle: it had taken 116 steps, thirty times those that a right answer takes."""
     problem = fresh(CASES["pushed along, every contact turns its slip"])

@@ -237,6 +237,7 @@ def test_what_is_no_answer_has_a_history_and_names() -> None:
         cq.solve(adrift, "penalty", penalty=10.0)
 
 
+@pytest.mark.slow
 def test_walls_that_conflict_are_named() -> None:
     squeezed = walls_that_conflict()
     for name in EXACT:

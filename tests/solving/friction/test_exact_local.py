@@ -51,6 +51,7 @@ def test_random_problems_with_joints_agree_with_the_enumeration_in_floats(seed: 
     assert has_local_equilibrium(problem) == bool(cq.equilibria(problem))
 
 
+@pytest.mark.slow
 def test_velocities_are_not_lost_beside_forces_of_redundant_contacts() -> None:
     """No state is an equilibrium, in rationals; rounding of W let forces of 1e14 pass, at a velocity of -0.39."""
     W = np.array(

@@ -36,6 +36,7 @@ def test_every_combination_is_tried_where_there_is_time() -> None:
     assert "all 9 combinations, refined from there, fail as well" in refusal()
 
 
+@pytest.mark.slow
 def test_combinations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
     assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()

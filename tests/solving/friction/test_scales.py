@@ -246,6 +246,7 @@ def test_an_overlap_that_contacts_alone_prescribe_is_no_rounding_of_forces(width
     assert not cq.certify(problem, np.zeros(n), solution.normal_force, solution.friction_force).passed
 
 
+@pytest.mark.slow
 def test_what_floats_cannot_tell_is_found_in_rational_numbers() -> None:
     """Stiffness from 1e-140 to 1e74 hides the one equilibrium from floats; a contact that never closes is left out."""
     K = [

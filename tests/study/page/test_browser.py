@@ -50,6 +50,7 @@ def test_hovering_shows_the_numbers(browser: Any) -> None:
     assert re.search(r"[\d.]+ ms, error [\d.]+e[-+]\d+", said)
 
 
+@pytest.mark.slow
 def test_cases_are_found_by_words(browser: Any) -> None:
     find(browser, "#filters summary").click()
     assert count(browser, ".case") == 2
@@ -64,6 +65,7 @@ def test_cases_are_found_by_words(browser: Any) -> None:
     wait(browser, "document.querySelectorAll('.case:not([hidden])').length === 2")
 
 
+@pytest.mark.slow
 def test_methods_variants_and_verdicts_are_hidden_in_charts_and_tables(browser: Any) -> None:
     wait(browser, f"document.querySelectorAll('{traces(OVERVIEW)}').length === 4")
     find(browser, "#filters summary").click()
@@ -83,6 +85,7 @@ def test_methods_variants_and_verdicts_are_hidden_in_charts_and_tables(browser: 
     assert count(browser, ".rows tr[data-method=penalty]") == penalties
 
 
+@pytest.mark.slow
 def test_messages_stand_whole_below_their_rows_and_are_hidden_with_them(browser: Any) -> None:
     browser.execute_script("document.querySelectorAll('.case').forEach((one) => { one.open = true; })")
     notes = count(browser, ".rows .note-of-row")
@@ -98,6 +101,7 @@ def test_messages_stand_whole_below_their_rows_and_are_hidden_with_them(browser:
     assert count(browser, ".rows .note-of-row") == 0
 
 
+@pytest.mark.slow
 def test_a_link_opens_its_case(browser: Any) -> None:
     links = browser.find_elements("css selector", ".contents a")
     links[1].click()
@@ -111,6 +115,7 @@ return [...document.querySelectorAll('a[href], summary, input, button, [tabindex
 """
 
 
+@pytest.mark.slow
 def test_the_keyboard_reaches_everything_and_shows_where_it_is(browser: Any) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys

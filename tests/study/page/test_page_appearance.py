@@ -165,6 +165,7 @@ def _stability_page(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 400])
 def test_the_page_of_stability_is_read_on_a_screen_and_on_a_telephone(session: Any, tmp_path: Path, width: int) -> None:
     """Bars of all axes first, whole on a screen; no heat map of few methods has a blank below, nor cells too narrow."""
@@ -297,7 +298,7 @@ def _overlapping(texts: list[list[Any]]) -> list[tuple[str, str]]:
     return found
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 400])
 def test_no_text_of_the_page_lies_over_another(session: Any, address: str, width: int) -> None:
     look(session, width, "light")

@@ -127,6 +127,7 @@ def test_two_at_a_time_are_refused(tmp_path: Path) -> None:
     assert _found(tmp_path / "journal")[0] == Number(0.0)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_lets_go_and_leaves_what_it_found(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys, pathlib\n"
