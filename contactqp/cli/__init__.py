@@ -38,7 +38,15 @@ from contactqp.cli.surveying import (
     report_command,
     schema_command,
 )
-from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, SceneError, StartWarning, Unsupported
+from contactqp.errors import (
+    BackendMissing,
+    ContactQPError,
+    InvalidProblem,
+    SceneError,
+    StartWarning,
+    Unsupported,
+    one_line,
+)
 
 # Seconds after which a Ctrl-C that was ignored is repeated.
 ONCE_MORE = 0.05
@@ -162,7 +170,7 @@ def _run(arguments: Sequence[str] | None) -> Ending:
     except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:  # a name too long, no permission, a full disk
-        return Ending(BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}", error="file")
+        return Ending(BAD_INPUT, one_line(f"{error.filename or 'file'}: {error.strerror or error}"), error="file")
     except Exception as error:
         if _interrupted(error):
             return INTERRUPTION

@@ -14,7 +14,10 @@ import importlib
 import io
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+import tempfile
+from codecs import BOM_UTF8
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -287,12 +290,28 @@ def _read_by_meshlane(file: Path) -> Any:
         raise BackendMissing(f"reading {file.name} needs meshlane: pip install meshlane") from None
     printed = io.StringIO()
     try:
-        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
-            return meshlane.read(file)
+        streams = contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed)
+        with streams[0], streams[1], _without_mark(file) as plain:
+            return meshlane.read(plain)
     except (SystemExit, Exception) as error:
         # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
         reason = printed.getvalue().strip() or f"{type(error).__name__}: {error}"
         raise InvalidProblem(f"meshlane cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
+
+
+@contextlib.contextmanager
+def _without_mark(file: Path) -> Iterator[Path]:
+    """Yield the file, or a copy without the mark of UTF-8 that editors put before text; XML may have the mark."""
+    with file.open("rb") as marked:
+        if marked.read(3) != BOM_UTF8 or marked.read(1) == b"<":
+            yield file
+            return
+        marked.seek(3)
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder, file.name)
+            with copy.open("wb") as plain:
+                shutil.copyfileobj(marked, plain)
+            yield copy
 
 
 def _cells_of_meshlane(mesh: Any) -> Cells:

@@ -111,17 +111,21 @@ def _candidates(
         farthest = float(np.linalg.norm(np.ptp(ends, axis=0)))  # nothing lies beyond
         far = np.full(len(centres), min(float(reach), farthest))
     half = radii + np.median(other_radii)
-    balls = np.ceil(far / (2 * half)).astype(np.int64)
-    count = 2 * balls + 1
+    # A tube of more balls than a block holds crosses nothing but void: the facets themselves are fewer.
+    balls = np.ceil(np.minimum(far / (2 * half), BLOCK)).astype(np.int64)
+    all_facets = balls == BLOCK
+    count = np.where(all_facets, len(other_centres), 2 * balls + 1)
     ends = np.flatnonzero(np.diff(np.cumsum(count) // BLOCK)) + 1
     for block in np.split(np.arange(len(centres)), ends):
-        of = np.repeat(block, count[block])
-        first = np.repeat(np.cumsum(count[block]) - count[block], count[block])
+        swept = block[~all_facets[block]]
+        of = np.repeat(swept, count[swept])
+        first = np.repeat(np.cumsum(count[swept]) - count[swept], count[swept])
         along = 2 * half[of] * (np.arange(len(of)) - first - balls[of])
         middle = centres[of] + along[:, np.newaxis] * normals[of]
         i, m = overlapping_balls(middle, np.hypot(half, radii)[of], other_centres, other_radii)
-        pairs = np.unique(np.stack([of[i], m], axis=1), axis=0)
-        s, m = pairs.T
+        found = np.unique(np.stack([of[i], m], axis=1), axis=0)
+        every = np.stack(np.meshgrid(block[all_facets[block]], np.arange(len(other_centres)), indexing="ij"), axis=-1)
+        s, m = np.concatenate([found, every.reshape(-1, 2)]).T
         apart = other_centres[m] - centres[s]
         height = (apart * normals[s]).sum(axis=1)
         beside = np.linalg.norm(apart - height[:, np.newaxis] * normals[s], axis=1)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.exchange.files import read_text, write_whole, wrong
+from contactqp.exchange.files import file_size, read_text, write_whole, wrong
 from contactqp.exchange.problem_files import is_problem_file
 from contactqp.oracle.judged_answer import COMPRESSION
 from contactqp.scene.scene import load_scene
@@ -122,11 +122,17 @@ def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -
     """
     named = [problem, candidate, *_meshes(problem), *options.files().values()]
     return {
-        _relative(str(file), receipt.parent): hashlib.sha256(file.read_bytes()).hexdigest()
+        _relative(str(file), receipt.parent): _hash(file)
         for path in filter(None, named)
         for file in _files(Path(path))
         if file.resolve() != receipt
     }
+
+
+def _hash(path: Path) -> str:
+    file_size(path, "a file to hash")  # a device that a receipt names has no end
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _files(path: Path) -> Iterable[Path]:
@@ -219,12 +225,17 @@ def _is_receipt(data: Mapping[str, Any]) -> bool:
     return (
         (data["schema"], data["schema_version"]) == (SCHEMA, SCHEMA_VERSION)
         and set(options) == set(asdict(CheckOptions()))
-        and all(isinstance(text, str) and text for text in (*texts, *(value for value in maybe if value is not None)))
+        and all(_may_name_a_file(text) for text in (*texts, *(value for value in maybe if value is not None)))
         and options["compression"] in COMPRESSION
         and all(type(value) in (int, float) and 0 <= value <= sys.float_info.max for value in (*numbers, *figures))
         and isinstance(verdict["right"], bool)
         and isinstance(verdict.get("proven"), bool | None)
     )
+
+
+def _may_name_a_file(text: object) -> bool:
+    """Return whether a value is a text that the system takes for a name; what it cannot write in bytes raises."""
+    return isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
 
 
 def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:

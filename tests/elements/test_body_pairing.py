@@ -46,6 +46,19 @@ def two_arcs():
 SCENES = {"arcs": two_arcs, "quads": two_curved, "triangles": lambda: two_curved("tri3")}
 
 
+@pytest.mark.parametrize("pairing_of", PAIRINGS)
+def test_surfaces_that_are_far_apart_are_searched_in_little_memory(pairing_of):
+    """Balls along a normal of 1e13 times a facet filled all memory."""
+
+    def level(height):
+        return lambda x, y: height + 0 * (x + y)
+
+    master = sheet(4, level(0.0), +1, 1000)
+    for height in (3.0, 1e13):
+        upper = sheet(5, level(height), -1, 0, spread=(0.1, 0.9))
+        assert pairing_of(upper, master).gap == pytest.approx(np.full(36, height), rel=1e-12)
+
+
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 @pytest.mark.parametrize("scene", SCENES)

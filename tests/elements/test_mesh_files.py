@@ -82,6 +82,15 @@ def test_a_part_has_its_own_sides(gmsh):
         read_mesh(gmsh, part="base")
 
 
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+def test_the_mark_that_editors_put_before_text_changes_nothing(gmsh, ends):
+    plain = read_mesh(gmsh, drop_unconnected=True)
+    gmsh.write_bytes(b"\xef\xbb\xbf" + GMSH.replace("\n", ends).encode())
+    marked = read_mesh(gmsh, drop_unconnected=True)
+    assert marked.points.tolist() == plain.points.tolist()
+    assert marked.nodes("left").tolist() == plain.nodes("left").tolist()
+
+
 def test_bad_files_are_refused_by_name(gmsh, tmp_path):
     with pytest.raises(InvalidProblem, match=r"squares.msh: mesh: node 6 at \(9, 9\) belongs to no element"):
         read_mesh(gmsh)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 import sys
 import time
 
@@ -343,3 +344,14 @@ def test_displacements_that_diverged_are_refused(tmp_path: pathlib.Path) -> None
     """At 1e308 the forces overflow, and a pair without a number for its force was called right."""
     with pytest.raises(cq.InvalidProblem, match=r"is displaced by 1e\+308: the other code diverged"):
         judged(tmp_path, change=lambda u: np.where(np.arange(len(u)) == len(u) - 1, 1e308, u))
+
+
+def test_a_pair_of_which_no_node_is_above_a_face_is_judged(tmp_path: pathlib.Path) -> None:
+    """The upper cubes stand five lengths beside the lower one: no contact is found, and no force is right."""
+    beside = re.sub(r"(?m)^(1[1-8]), ([01])\.", r"\1, 5\2.", STACK)
+    assert beside != STACK
+    assert judged(tmp_path, beside).word == "right"
+    pulled = judged(tmp_path, beside, lambda u: u + 0.3)
+    assert pulled.word == "wrong"
+    assert pulled.pairs[0].reference_resultant == 0.0
+    assert np.all(np.isnan(pulled.pairs[0].gap))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -144,6 +145,7 @@ def _with(name: str, key: str | None, value: Any) -> Callable[[dict[str, Any]], 
         _with("figures", "force_error", 10**400), _with("figures", "force_error", True),
         _with("figures", "force_error", -1.0), _with("verdict", "right", 1), _with("contactqp", None, []),
         _with("created", None, 3), _with("problem", None, ""), _with("sha256", None, ["a"]),
+        _with("candidate", None, "a\0b"), _with("options", "contact_map", "\ud800"), _with("sha256", "\0", "x"),
     ],
 )  # fmt: skip
 def test_a_receipt_of_other_types_is_refused_in_one_line(
@@ -208,6 +210,28 @@ def test_what_is_no_receipt_is_refused_in_one_line(capsys: Any, tmp_path: Path, 
     code, out, err = run(capsys, "check", "--verify", file)
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert "expected a receipt" in err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no devices by name")
+def test_a_device_that_a_receipt_names_is_not_read(capsys: Any, folder: Path) -> None:
+    """A device without end filled the memory before anything was said."""
+    file = receipt_of(capsys, folder, "right.json")
+    data = json.loads(file.read_text(encoding="utf-8"))
+    data["options"]["dof_map"] = "/dev/zero"
+    file.write_text(json.dumps(data), encoding="utf-8")
+    code, _, err = run(capsys, "check", "--verify", file)
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "got a pipe or a device" in err
+
+
+def test_a_name_that_is_too_long_is_not_repeated(capsys: Any, folder: Path) -> None:
+    file = receipt_of(capsys, folder, "right.json")
+    data = json.loads(file.read_text(encoding="utf-8"))
+    data["options"]["dof_map"] = "a" * 3000
+    file.write_text(json.dumps(data), encoding="utf-8")
+    code, _, err = run(capsys, "check", "--verify", file)
+    assert code == 2
+    assert len(err) < 400
 
 
 def test_a_file_that_is_gone_is_named(capsys: Any, folder: Path) -> None:

@@ -127,8 +127,10 @@ class PairNodes:
 
     def gap(self, u: Vector) -> Vector:
         """Return the gaps at a displacement of all unknowns, NaN where a node has no partner, (q,) [length]."""
-        pairing = self.contact.pairing
-        return np.where(self.row < 0, np.nan, (pairing.gap - pairing.normal @ u)[self.row])
+        pairing, paired = self.contact.pairing, self.row >= 0
+        found = np.full(len(self.row), np.nan)
+        found[paired] = (pairing.gap - pairing.normal @ u)[self.row[paired]]
+        return found
 
     def forces(self, answer: ForeignAnswer) -> tuple[Vector, Array]:
         """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
