@@ -195,10 +195,12 @@ class Scales:
 
     def _apart(self, of: str, one: Rates, other: Rates) -> float:
         """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
-        sizes = [self.of(name, getattr(rates, name)) for name in MEASURED for rates in (one, other)]
-        largest = max(float(np.max(abs(size), initial=0.0)) for size in sizes)
         difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return float(np.max(abs(difference), initial=0.0)) - SAME * largest
+        return float(np.max(abs(difference), initial=0.0)) - SAME * max(self.largest(one), self.largest(other))
+
+    def largest(self, rates: Rates) -> float:
+        """Return the largest of the rates of displacements and forces, in the square root of energy."""
+        return max(float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)) for name in MEASURED)
 
     def are_one(self, one: Rates, other: Rates) -> bool:
         """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""

@@ -20,9 +20,10 @@ from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point
+from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
@@ -190,12 +191,13 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if (reason := linearised.irregular) is not None:
         return reason
     limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.sharings_are_few)
-    if linearised.redundant and (of in FORCES or limited):
+    shared = of in FORCES and not (along and linearised.only(of))
+    if linearised.redundant and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
     if parameter == "tie_value" and along is None and (idle := _idle_ties(problem)).any():
         return f"{problem.tie_name(int(np.argmax(idle)))} acts on nothing that moves, and no displacement has its value"
-    motions = [motion.direction for motion in linearised.solution.free_motions]
+    motions = _free(linearised.solution)
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
     rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
@@ -222,7 +224,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         back, ahead = linearised.sides(direction)
     except NoRates as none:
         return Derivative(None, None, None, False, reason=str(none))
-    if of in FORCES and (back.shared or ahead.shared):
+    if of in FORCES and (back.shared or ahead.shared) and not linearised.only(of):
         return Derivative(None, None, None, False, reason=REDUNDANT)
     left, right = (_of_rates(linearised, of, rates, direction)[0] for rates in (back, ahead))
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
@@ -425,7 +427,7 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
     parameter, direction : as in `contactqp.analysis.derivatives.derivative`
     """
     problem, u = solution.problem, solution.displacement
-    zero, motions = Direction.zero(problem), [motion.direction for motion in solution.free_motions]
+    zero, motions = Direction.zero(problem), _free(solution)
     if parameter in VECTORS:
         expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
         if parameter == "friction" and given.ndim == 0:
@@ -455,6 +457,13 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
     driven = _moves(change, motions)
     strained: dict[str, Any] = dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven, stiffness=change)
     return Direction(**(vars(zero) | strained))
+
+
+def _free(solution: Solution) -> list[Vector]:
+    """Return the free motions of an answer, zero where they are rounding in the square root of energy."""
+    found = [motion.direction for motion in solution.free_motions]
+    unit = unknown_scale(solution.problem) if found else np.ones(0)
+    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
 
 
 def _moves(rows: Any, motions: list[Vector]) -> float:

@@ -104,11 +104,11 @@ class Linearised:
         self.solution, self.problem, self.scales = solution, problem, Scales(problem)
         if not iterated(problem):
             self._linearise()
-        elif may_be_factorised(problem):
-            with factorised(problem):
-                self._linearise()
-        else:
+            return
+        if not may_be_factorised(problem):
             raise Unsupported("derivatives: of bodies that are factorised alone")
+        with factorised(problem):
+            self._linearise()
 
     def _linearise(self) -> None:
         """Find the states of the contacts, and the system of their rates where no state is undecided."""
@@ -155,10 +155,8 @@ class Linearised:
             np.flatnonzero(words == "grazing"),
             sticking_at_bound(problem, self.status, self.push, self._drag),
         )
-        near, in_space = (
-            np.union1d(self.grazing, self._at_bound).astype(np.intp),
-            problem.frictional and none.shape[1] > 1,
-        )
+        near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
+        in_space = problem.frictional and none.shape[1] > 1
         self.sure = not len(near)
         if len(near) and in_space:
             answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
@@ -177,6 +175,7 @@ class Linearised:
                     found.normal_force, found.friction_force, found.gap, found.slip
                 )  # fmt: skip
         self.closed = np.flatnonzero(self.status != OPEN)
+        self._touching = np.union1d(self.closed, self.grazing).astype(np.intp)
 
     def _forces_depend(self) -> bool:
         """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
@@ -184,13 +183,12 @@ class Linearised:
             return False  # the system says it
         if self._sparse:  # nothing is condensed, and the certificate has looked
             return any(bounds.REDUNDANT in reason for reason in self.solution.certificate.reasons)
-        touching = np.union1d(self.closed, self.grazing).astype(np.intp)
-        if not saddle_point(condense(self.problem), touching).redundant:
+        if not saddle_point(condense(self.problem), self._touching).redundant:
             return False
         if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
             return True
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
-        return Sharing(self.problem, touching, self.scales.units).takes_part(np.isin(touching, self.grazing))
+        return self._sharing.takes_part(np.isin(self._touching, self.grazing))
 
     def _system(self, status: Status, rates: Rates | None = None) -> RateSystem:
         """Return the system of some states; `rates` has slips that begin in any direction of a plane, and pushes."""
@@ -220,6 +218,16 @@ class Linearised:
         """Return whether slips in space turn, or may, so that the answer is not linear along any direction."""
         in_space = self.problem.frictional and self._drag.shape[1] > 1
         return in_space and bool(len(self.undecided) or self.system is None or np.any(self.system.turning != 0))
+
+    def only(self, of: str) -> bool:
+        """Return whether normal or tie forces are unique although contacts or ties are redundant."""
+        asked = self.sharings_are_few and of in ("normal_force", "tie_force")
+        return asked and self._sharing.only(ties=of == "tie_force")
+
+    @cached_property
+    def _sharing(self) -> Sharing:
+        """The ways in which the contacts that touch may share their forces."""
+        return Sharing(self.problem, self._touching, self.scales.units)
 
     @property
     def sharings_are_few(self) -> bool:
@@ -257,8 +265,8 @@ class Linearised:
 
     def _is_shifted(self, direction: Direction) -> bool:
         """Return whether contacts that share their forces come to share them otherwise."""
-        changed = direction.rows is not None or direction.whole_gap.any() or direction.tie_value.any()
-        return self.redundant and bool(changed)
+        changes = direction.whole_gap.any() or direction.tie_value.any()
+        return self.redundant and bool(changes or direction.rows is not None)
 
     def adjoint(self, weights: Parts) -> Parts:
         """Return the solution of the transposed system; nothing is at a border."""
@@ -334,14 +342,12 @@ class Linearised:
         problem, k, load = self.problem, self.problem.ties, direction.whole_load
         closed, grazing, status, limit = self.closed, self.grazing, self.status, direction.whole_gap
         if self._is_shifted(direction):
-            touching = np.union1d(closed, grazing).astype(np.intp)
-            sharing = Sharing(problem, touching, self.scales.units)
-            stay = sharing.stay(self._resultant, limit, direction.tie_value)
+            stay = self._sharing.stay(self._resultant, limit, direction.tie_value)
             if stay is None:
                 raise NoRates("contacts that touch, and ties, cannot change their gaps and values so")
-            closed, grazing = stay, np.setdiff1d(touching, stay)
+            closed, grazing = stay, np.setdiff1d(self._touching, stay)
             if direction.rows is not None:
-                turn, (force, more) = direction.rows[stay].T, sharing.alone(stay, self._resultant)
+                turn, (force, more) = direction.rows[stay].T, self._sharing.alone(stay, self._resultant)
                 if np.any(abs(turn @ more) > SEEN * (abs(turn) @ abs(more))):
                     raise NoRates(REDUNDANT)
                 load = direction.load + direction.strained - turn @ force
@@ -353,7 +359,8 @@ class Linearised:
             posed = self._posed[closed.tobytes()]
             found = solve(posed.replace(load=load, gap=limit[grazing], tie_value=value))
         except NoEquilibrium as none:
-            raise NoRates(str(none)) from None
+            # Where gaps change nearly alike, which of those that share their forces stays closed was not told.
+            raise NoRates(REDUNDANT if self._is_shifted(direction) else str(none)) from None
         force = np.zeros(problem.contacts)
         force[closed], force[grazing] = found.tie_force[k:], found.normal_force
         tangents = np.zeros(shape_of_tangents(problem))
@@ -475,21 +482,18 @@ class Linearised:
         Of contacts that graze neither forces nor gaps fall, from nothing.
         """
         if self.redundant and not self._sparse:
-            members = np.flatnonzero(
-                (rates.status != OPEN) | (np.isin(np.arange(len(self.push)), self.grazing) & (rates.normal_force > 0))
-            )
+            touches = self.scales.of("gap", sign * rates.gap) <= SAME * self.scales.largest(rates)
+            members = self._touching[touches[self._touching]]
             yield Sharing(self.problem, members, self.scales.units).reach(self._resultant, sign * rates.reaction)
             apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)
             yield from falls(self._gap[apart], sign * rates.gap[apart])
             return
         parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
         along = StateMargins(*(sign * part for part in parts))
-        now, mu = StateMargins(self._gap, self.push, self._drag, self._slip), self.problem.friction
-        rests = np.array(
-            [i for i in self.undecided if self.problem.frictional and STICK in self.borders.choices(int(i))]
-        )
-        mu = mu if self.problem.frictional else None
-        yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests.astype(np.intp), self._at_bound)
+        now = StateMargins(self._gap, self.push, self._drag, self._slip)
+        mu, of = (self.problem.friction, self.undecided) if self.problem.frictional else (None, self.grazing[:0])
+        rests = np.array([i for i in of if STICK in self.borders.choices(int(i))], dtype=np.intp)
+        yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests, self._at_bound)
 
     def at_border(self) -> str:
         """Return which contacts are at a border, in words."""

@@ -255,6 +255,13 @@ class Sharing:
         _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
         return not residual > CARRIES
 
+    def only(self, ties: bool) -> bool:
+        """Return whether nothing may be added to the forces of contacts, or to those of ties, of any size and sign."""
+        of_contacts, of_ties = np.split(self.rows, [len(self._contacts)])
+        own, others = (of_ties, of_contacts) if ties else (of_contacts, of_ties)
+        own = own[np.any(own != 0, axis=1)]  # rows of zeros exert nothing, and have no force
+        return len(self._basis) == len(own) + _rank(others)
+
     def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
         """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
         from scipy.optimize import linprog
@@ -294,6 +301,11 @@ class Sharing:
         cost = np.append(np.zeros(len(self._limits)), -1.0)
         most = linprog(cost, A_eq=span, b_eq=told / size, bounds=[*self._limits, (0.0, None)])
         return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
+
+
+def _rank(rows: Array) -> int:
+    sizes = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
+    return int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)))
 
 
 def width_within(turns: Array, signs: Vector, far: float) -> float:

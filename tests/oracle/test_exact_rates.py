@@ -35,7 +35,104 @@ def test_redundant_contacts_leave_what_follows_from_the_displacement() -> None:
     assert twice.derivative("reaction", "load", [0, 1]).value.tolist() == [Fraction(1, 2), 0]
     found = twice.derivative("normal_force", "load", [0, 1])
     assert (found.value, found.reach, "not unique" in found.reason) == (None, None, True)
-    assert twice.derivative("displacement", "gap", [1, 0]).value is None
+    found = twice.derivative("displacement", "gap", [1, 0])  # the other stays where it is, and one comes nearer
+    assert (found.value, found.left.tolist(), found.right.tolist()) == (None, [1, Fraction(1, 2)], [0, 0])
+    found = twice.derivative("displacement", "gap", [2, 2])
+    assert (found.value.tolist(), found.reach) == ([2, 1], (math.inf, 1))  # the force is 9/2 - 3/2 u
+    # By e > 0 the second row is longer and bears all: u = 1 / (1 + e); by e < 0 the first does.
+    found = twice.derivative("displacement", "rows", [[0, 0], [1, 0]])
+    assert (found.left.tolist(), found.right.tolist()) == ([0, 0], [-1, Fraction(-1, 2)])
+    # Two walls that clamp a body bear any force, and leave it no room.
+    clamped = cq.exact(cq.ContactProblem([[2.0]], [1.0], [[1.0], [-1.0]], [0.0, 0.0]))
+    assert clamped.derivative("displacement", "load", [1]).value.tolist() == [0]
+    assert clamped.derivative("displacement", "gap", [1, 1]).left is None
+    assert "cannot change" in clamped.derivative("displacement", "gap", [1, 1]).reason
+
+
+def test_what_may_share_later_keeps_touching() -> None:
+    """Two springs and a stop on both, which bears nothing yet, go on as it takes over what one of them lacks."""
+    problem = cq.ContactProblem(np.eye(2), [2.0, 1.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [0.0, 0.0, 0.0])
+    answer, solution = cq.exact(problem), cq.solve(problem)
+    for direction, reach in (([1.0, -1.0], 1), ([-1.0, -1.0], 1), ([-2.0, 0.0], 1), ([1.0, 0.0], math.inf)):
+        found = answer.derivative("displacement", "load", direction)
+        assert (found.value.tolist(), found.reach[1]) == ([0, 0], reach)
+        doubles = solution.derivative("displacement", "load", direction)
+        assert doubles.reach == pytest.approx([float(step) for step in found.reach])
+
+
+def test_forces_of_contacts_are_unique_beside_ties_that_are_not() -> None:
+    twice = cq.ContactProblem(
+        [[2.0, -1.0], [-1.0, 2.0]], [4.0, 1.0], [[1.0, 0.0]], [1.0], tie=[[0.0, 1.0], [0.0, 2.0]], tie_value=[0.25, 0.5]
+    )
+    solution, answer = cq.solve(twice), cq.exact(twice)
+    for found in (
+        solution.derivative("normal_force", "load", [1.0, 3.0]),
+        answer.derivative("normal_force", "load", [1, 3]),
+    ):
+        assert (found.value.tolist(), tuple(map(float, found.reach))) == ([1.0], (2.25, math.inf))  # l = f - 2 + 1/4
+    for found in (solution.derivative("tie_force", "load", [1.0, 3.0]), answer.derivative("tie_force", "load", [1, 3])):
+        assert (found.value, "redundant" in found.reason) == (None, True)
+    held = cq.ContactProblem(
+        np.diag([2.0, 2.0]), [4.0, 1.0], [[1.0, 0.0]] * 2, [1.0, 1.0], tie=[[0.0, 1.0]], tie_value=[0.25]
+    )
+    for found in (one.derivative("tie_force", "load", [1.0, 3.0]) for one in (cq.solve(held), cq.exact(held))):
+        assert found.value.tolist() == [3.0]
+
+
+def shared(rng: np.random.Generator) -> cq.ContactProblem:
+    """A problem whose rows repeat, add up, and clamp, around an answer whose forces are small numbers."""
+    n, m = int(rng.integers(2, 4)), int(rng.integers(3, 6))
+    shape = rng.integers(-2, 3, (n, n))
+    K = shape @ shape.T + np.diag(rng.integers(1, 4, n))
+    E = rng.integers(-1, 2, (m, n)).astype(float)
+    E[~E.any(axis=1), 0] = 1.0
+    E[1] = E[0] * rng.choice([1.0, 2.0, -1.0])
+    E[2] = E[0] + E[-1] if (E[0] + E[-1]).any() else E[0]
+    u = rng.integers(-4, 5, n) / 2
+    apart = rng.random(m) < 0.2
+    force = np.where(apart, 0, rng.integers(0, 3, m))
+    tie = E[-1:] + E[:1] if rng.random() < 0.3 else np.zeros((0, n))
+    return cq.ContactProblem(K, K @ u + E.T @ force, E, E @ u + np.where(apart, 0.5, 0.0), tie=tie, tie_value=tie @ u)
+
+
+@pytest.mark.parametrize("problems", [2, pytest.param(60, marks=pytest.mark.slow)])
+def test_rates_at_redundant_contacts_are_differences_of_exact_answers(problems: int) -> None:
+    rng, step = np.random.default_rng(8), Fraction(STEP)
+    compared = refused = kinks = by_rows = 0
+    for _ in range(problems):
+        problem = shared(rng)
+        answer, solution = cq.exact(problem, enclose=False), cq.solve(problem)
+        n, m, k = problem.dimension, problem.contacts, problem.ties
+        along = dict(load=rng.integers(-2, 3, n), gap=rng.integers(-2, 3, m), tie_value=rng.integers(-1, 2, k))
+        for name, direction in (along | dict(rows=rng.integers(-1, 2, (m, n)))).items():
+            if not direction.size:
+                continue
+            for of in ("displacement", "reaction", "normal_force", "gap"):
+                found = answer.derivative(of, name, direction)
+                doubles = solution.derivative(of, name, direction.astype(float))
+                assert (found.right is None) == (doubles.right is None), (name, of, found.reason, doubles.reason)
+                if found.right is None:
+                    refused += 1
+                    continue
+                assert found.exists == doubles.exists
+                compared, kinks = compared + 1, kinks + (not found.exists)
+                for side, other in ((found.left, doubles.left), (found.right, doubles.right)):
+                    exactly = np.array([float(x) for x in side])
+                    assert other == pytest.approx(exactly, rel=1e-12, abs=1e-12)
+                if of != "displacement":
+                    continue
+                for sign, side in ((1, found.right), (-1, found.left)):
+                    size = sign * (step if name != "rows" else step**2)  # along rows the answer is curved
+                    of_problem = "normal" if name == "rows" else name
+                    changed = getattr(problem, of_problem) + float(size) * direction
+                    there = cq.exact(problem.replace(**{of_problem: changed}), enclose=False).displacement
+                    quotient = (there - answer.displacement) / size
+                    if name != "rows":
+                        assert quotient.tolist() == side.tolist()
+                    else:
+                        by_rows += 1
+                        assert quotient.astype(float) == pytest.approx(side.astype(float), rel=1e-9, abs=1e-9)
+    assert min(compared // 6, refused // 5, kinks // 3, by_rows) >= problems
 
 
 @pytest.mark.parametrize("problems", [2, pytest.param(12, marks=pytest.mark.slow)])

@@ -1,16 +1,22 @@
-"""Derivatives of exact answers in Fractions, towards either side: of every combination of states, the one that holds.
+"""Derivatives of exact answers in Fractions, towards either side.
 
-Without friction, and with it in the plane, contacts keep the states that they are in exactly; those at the border of
-two states may go to either. In each combination rates solve a linear system (`contactqp.analysis.rate_systems` has it),
-here in rational numbers; those of one whose signs lead to where it says are the answer's. Redundant contacts share
-their forces in many ways, but the displacement has one rate by loads and stiffness, and so has what follows from it.
+Without friction the displacement changes at the rate du that minimises 1/2 du'K du - df'du over the changes
+
+    E_i du = dg_i    where a contact stays closed,    E_i du <= dg_i    where another touches,    A du = db,
+
+which is one more problem in rational numbers. Redundant contacts share the force r = f - K u in many ways; then those
+stay closed that push in one of the ways in which l'dg + nu'db is least (Shapiro, SIAM J. Control Optim. 26, 1988).
+
+With friction in the plane contacts keep the states that they are in exactly; those at the border of two states may go
+to either. In each combination rates solve a linear system (`contactqp.analysis.rate_systems` has it); those of one
+whose signs lead to where it says are the answer's.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -19,19 +25,40 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import InvalidProblem, Unsupported, shown
-from contactqp.linalg.rational import column, dot, fraction, fractions, is_zero, null_space, solve_any, take, zeros
+from contactqp.linalg.exact_algebra import Polyhedron
+from contactqp.linalg.rational import (
+    NoSolution,
+    beside,
+    column,
+    dot,
+    fraction,
+    fractions,
+    is_zero,
+    null_space,
+    solve_any,
+    stack,
+    take,
+    zeros,
+)
 from contactqp.model.arguments import checked
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
-from contactqp.oracle.exact.rational_problem import of_floats
+from contactqp.oracle.exact.rational_equilibrium import settle
+from contactqp.oracle.exact.rational_problem import MOST_PIVOTS, Family, RationalProblem, of_floats
 
-OF_DISPLACEMENT = ("displacement", "gap", "slip", "reaction", "energy")
-QUANTITIES = ("normal_force", "friction_force", "tie_force", *OF_DISPLACEMENT)
+FORCES = ("normal_force", "friction_force", "tie_force")
+QUANTITIES = (*FORCES, "displacement", "gap", "slip", "reaction", "energy")
 PARAMETERS = ("load", "gap", "tie_value", "friction", "slip_origin", "stiffness", "rows")
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
 # Combinations of states of contacts at a border, at most.
 MOST = 1024
+CANNOT = "contacts that touch, and ties, cannot change their gaps and values so"
+DRIVEN = "the direction drives a motion that nothing holds"
+FREE = "bodies are free to move, and their displacements are not unique"
+REDUNDANT = "contacts that touch are redundant, and their forces are not unique"
+SINGULAR = "in a combination of states that may come the rates are not unique"
+SMOOTH = "no contact has friction: rates by coefficients are those of problems that have some"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +66,8 @@ class ExactDerivative:
     """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None.
 
     `reach` are the steps (back, ahead) within which no contact changes its state, infinity where none ever does; None
-    where the answer is not linear along the direction, and where contacts share their forces in many ways.
+    where the answer is not linear along the direction. Where contacts share their forces in many ways, they are those
+    within which all that touch can exert the force that is needed.
     """
 
     value: Any
@@ -89,9 +117,10 @@ class _ExactRates:
         if self.data.frictional and self.data.width > 1:
             raise Unsupported("exact derivatives: with friction in the plane alone")
         self.u, self.force = column(answer.displacement), column(answer.normal_force)
-        self.choices = [self._choices(i) for i in range(self.data.contacts)]
+        self.choices = [self._choices(i) for i in range(self.data.contacts)] if self.data.frictional else []
         if np.prod([float(len(one)) for one in self.choices]) > MOST:
             raise Unsupported("exact derivatives: too many contacts at the border of two states")
+        self.sharing = None if self.data.frictional else _sharing_of(answer, self.data)
 
     def _choices(self, i: int) -> tuple[int, ...]:
         """Return the states that a contact may go to; SLIP_ON where it pushes without friction."""
@@ -114,7 +143,7 @@ class _ExactRates:
         return STICK, SLIP_ON if drag > 0 else SLIP_BACK
 
     def read(self, parameter: str, direction: Any) -> dict[str, fmpq_mat]:
-        """Return load, gap, slip, tie and friction of the rates, as columns."""
+        """Return load, gap, slip, tie and friction of the rates, as columns, and what a matrix changes."""
         data, problem = self.data, self.answer.problem
         shapes = dict(
             load=(data.unknowns,), gap=(data.contacts,), tie_value=(data.ties,), friction=(data.contacts,),
@@ -136,11 +165,12 @@ class _ExactRates:
         sizes = (data.unknowns, data.contacts, data.ties, data.contacts, data.contacts * data.width)
         along = {name: zeros(size, 1) for name, size in zip(names.values(), sizes, strict=True)}
         along |= dict(own=zeros(data.unknowns, 1), strained=zeros(data.unknowns, 1))
+        along |= dict(stiffness=zeros(0, data.unknowns), rows=zeros(0, data.unknowns))
         if parameter in names:
             along[names[parameter]] = column(entries)
             along["own"] = along["load"]
             return along
-        change = fmpq_mat(dense.shape[0], dense.shape[1], column(entries).entries())
+        along[parameter] = change = fmpq_mat(dense.shape[0], dense.shape[1], column(entries).entries())
         if parameter == "stiffness":
             along["load"] = along["strained"] = -(change * self.u)
         else:
@@ -149,28 +179,67 @@ class _ExactRates:
 
     def rates(self, of: str, along: dict[str, fmpq_mat]) -> tuple[Any, Fraction | float | None] | str:
         """Return the exact rates of a quantity towards a direction and how far they reach, or why there are none."""
-        found: list[tuple[Any, Fraction | float | None]] = []
-        shares = self._may_share(along)
+        if self.sharing is not None:
+            return self._without_friction(of, along, self.sharing)
+        if any(self._is_still(i) for i, change in enumerate(along["friction"].entries()) if change != 0):
+            return "a contact has neither friction nor slip, which friction could act against"
+        found: list[tuple[Any, Fraction | float]] = []
         for states in product(*self.choices):
             rates = self._in_states(states, along)
             if rates is None:
                 continue
-            if not (rates["unique"] or (shares and of in OF_DISPLACEMENT and rates["moves as one"])):
-                return "in a combination of states that may come the rates are not unique"
+            if not rates["unique"]:
+                return SINGULAR
             if self._holds(states, rates, along):
-                reach = min(self._events(states, rates), default=math.inf) if rates["unique"] else None
-                found.append((rates[of], reach))
+                found.append((rates[of], min(self._events(states, rates), default=math.inf)))
         if any(np.any(found[0][0] != other) for other, _ in found):
             return "several rates continue the answer"
         if not found:
             return "no rates continue the answer"
-        reaches = [reach for _, reach in found if reach is not None]
-        return found[0][0], min(reaches) if len(reaches) == len(found) else None
+        return found[0][0], min(reach for _, reach in found)
 
-    def _may_share(self, along: dict[str, fmpq_mat]) -> bool:
-        """Return whether forces that are not unique leave the displacement its rates: all that touch keep touching."""
-        held = is_zero(along["gap"]) and is_zero(along["tie"])
-        return held and not any(self.data.friction) and all(len(one) == 1 for one in self.choices)
+    def _is_still(self, i: int) -> bool:
+        """Return whether a contact that pushes has neither friction nor slip."""
+        slip = self.answer.slip
+        return self.data.friction[i] == 0 and self.force[i, 0] > 0 and slip is not None and slip[i, 0] == 0
+
+    def _without_friction(
+        self, of: str, along: dict[str, fmpq_mat], sharing: _Sharing
+    ) -> tuple[Any, Fraction | float | None] | str:
+        """Return the rates of a quantity and how far they reach, or why there are none, without friction."""
+        data, touching = self.data, sharing.contacts
+        if not is_zero(along["friction"]):
+            return SMOOTH
+        motions = null_space(stack(data.K, data.A, take(data.E, sharing.pushing)))
+        if not all(is_zero(along[name] * motions) for name in ("stiffness", "rows")):
+            return FREE
+        if not is_zero(along["own"].transpose() * motions):
+            return DRIVEN
+        least = sharing.least(stack(take(along["gap"], touching), along["tie"]))
+        if least is None:
+            return CANNOT
+        load = along["own"] + along["strained"]
+        if along["rows"].nrows():
+            turn = take(along["rows"], touching)
+            if not least.exert_one(turn):
+                return REDUNDANT
+            load -= turn.transpose() * take(least.family.start, range(len(touching)))
+        found = _minimal(data, load, along, least)
+        if found is None:
+            return DRIVEN
+        du, ahead, more = found
+        either = beside(motions, more)
+        if of in FORCES and not (sharing.only(of) and ahead.only(of)):
+            return REDUNDANT
+        if either.ncols() and (of in ("displacement", "slip") or (of == "gap" and not is_zero(data.E * either))):
+            return FREE
+        x, none = [*du.entries(), *ahead.family.start.entries()], [fmpq(0)] * data.contacts
+        rates = self._quantities(x, (list(ahead.contacts), []), ([0] * data.contacts, none), along)
+        if not is_zero(data.E * either):
+            return rates[of], None
+        gaps = zip(self.answer.gap, rates["gap"], strict=True)
+        steps: list[Fraction | float] = [gap / -rate for gap, rate in gaps if gap > 0 > rate]
+        return rates[of], min([ahead.reach(least), *steps])
 
     def _events(self, states: tuple[int, ...], rates: dict[str, Any]) -> Iterator[Fraction]:
         """Yield the steps at which contacts leave these states; what is at a border already moves away from it."""
@@ -212,14 +281,10 @@ class _ExactRates:
         solved = solve_any(system, fmpq_mat(len(right), 1, right))
         if solved is None:
             return None
-        x, unique = solved[0].entries(), solved[1]
-        found = self._quantities(x, unique, (c, b), (signs, own), along)
-        # What may be added to the solutions moves nothing: forces alone are many.
-        found["moves as one"] = unique or is_zero(take(null_space(system), range(data.unknowns)))
-        return found
+        return self._quantities(solved[0].entries(), (c, b), (signs, own), along) | dict(unique=solved[1])
 
     def _quantities(
-        self, x: list[fmpq], unique: bool, places: tuple[list[int], list[int]], law: tuple[list[int], list[fmpq]],
+        self, x: list[fmpq], places: tuple[list[int], list[int]], law: tuple[list[int], list[fmpq]],
         along: dict[str, fmpq_mat],
     ) -> dict[str, Any]:  # fmt: skip
         data, (c, b), (signs, own) = self.data, places, law
@@ -227,7 +292,7 @@ class _ExactRates:
         u, normal = fmpq_mat(n, 1, x[:n]), [fmpq(0)] * m
         for place, i in enumerate(c):
             normal[i] = x[n + place]
-        found: dict[str, Any] = dict(unique=unique, displacement=_fractions(x[:n]), normal_force=_fractions(normal))
+        found: dict[str, Any] = dict(displacement=_fractions(x[:n]), normal_force=_fractions(normal))
         found["tie_force"] = _fractions(x[n + len(c) + len(b) :])
         found["gap"] = np.array(fractions(along["gap"] - data.E * u), dtype=object)
         found["reaction"] = np.array(fractions(along["own"] + along["strained"] - data.K * u), dtype=object)
@@ -270,8 +335,128 @@ class _ExactRates:
             yield state * rates["slip"][i, 0]
 
 
+@dataclass(frozen=True, eq=False)
+class _Sharing:
+    """The forces of contacts that touch, some of which may not pull, and of all ties, that exert the same force."""
+
+    contacts: tuple[int, ...]
+    family: Family  # forces (q + k,), those of contacts first, whose rooms are those of contacts that may not pull
+
+    @property
+    def pushing(self) -> list[int]:
+        """Return the contacts that push in one of the ways to share the force."""
+        ends = self.family.ranges(range(len(self.contacts)))
+        return [i for i, (_, most) in zip(self.contacts, ends, strict=True) if most is None or most > 0]
+
+    def only(self, of: str) -> bool:
+        """Return whether there is only one such normal or tie force; friction there is none."""
+        count, size = len(self.contacts), int(self.family.start.nrows())
+        entries = dict(normal_force=range(count), tie_force=range(count, size)).get(of, range(0))
+        return all(least == most and least is not None for least, most in self.family.ranges(entries))
+
+    def least(self, cost: fmpq_mat) -> _Sharing | None:
+        """Return the ways in which the product of the forces with a cost (q + k, 1) is least; None if there is none."""
+        one, family = cost.transpose(), self.family
+        slope = one * family.directions
+        if is_zero(slope):
+            return self
+        room = [fraction(x) for x in family.room.entries()]
+        ways = Polyhedron(room, _rows_of(family.slope), int(slope.ncols()))
+        at, _ = ways.range(_rows_of(slope)[0])
+        if at is None:
+            return None
+        start, room_there = (part + move * column(at) for part, move in (
+            (family.start, family.directions), (family.room, family.slope)))  # fmt: skip
+        # The last room is by how much the product is below the least.
+        there = Family(start, family.directions, stack(room_there, zeros(1, 1)), stack(family.slope, -1 * slope))
+        return replace(self, family=there)
+
+    def exert_one(self, turn: fmpq_mat) -> bool:
+        """Return whether turned rows (q, n) of the contacts exert one force, however they share it."""
+        family = self.family
+        rooms = Family(family.room, family.slope, family.room, family.slope).ranges(range(family.room.nrows()))
+        none = [place for place, (_, most) in enumerate(rooms) if most == 0]
+        ways = take(family.directions, range(len(self.contacts))) * null_space(take(family.slope, none))
+        return is_zero(turn.transpose() * ways)
+
+    def reach(self, before: _Sharing) -> Fraction | float:
+        """Return the largest step x along which forces `before` + x times these push."""
+        place = {i: p for p, i in enumerate(before.contacts)}
+        at = [place[i] for i in self.contacts]
+        start = [fraction(before.family.start[p, 0]) for p in at]
+        moved = _rows_of(self.family.directions)[: len(at)]
+        rates = [fraction(x) for x in self.family.start.entries()]
+        slopes = [[*row, rate] for row, rate in zip(moved, rates, strict=False)]
+        size = int(self.family.directions.ncols()) + 1
+        step = [Fraction(0)] * (size - 1) + [Fraction(1)]
+        _, most = Polyhedron([*start, Fraction(0)], [*slopes, step], size).range(step)
+        return math.inf if most is None else most[-1]
+
+
+def _sharing_of(answer: ExactSolution, data: RationalProblem) -> _Sharing:
+    """Return the ways in which the contacts that touch may share the force of an answer without friction."""
+    touching = tuple(i for i, gap in enumerate(answer.gap) if gap == 0)
+    start = stack(column([answer.normal_force[i] for i in touching]), column(answer.tie_force))
+    return _shared(data, touching, start, range(len(touching)))
+
+
+def _shared(data: RationalProblem, contacts: tuple[int, ...], start: fmpq_mat, pushing_only: Iterable[int]) -> _Sharing:
+    """Return all forces of contacts and ties that exert what these do (q + k, 1); ties of zeros exert nothing.
+
+    `pushing_only` are the places of the contacts that may not pull.
+    """
+    size, places = int(start.nrows()), list(pushing_only)
+    rows = stack(take(data.E, contacts), data.A)
+    unit = fmpq_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
+    idle = [place for place in range(len(contacts), size) if is_zero(take(rows, [place]))]
+    directions = null_space(stack(rows.transpose(), take(unit, idle)))
+    return _Sharing(contacts, Family(start, directions, take(start, places), take(directions, places)))
+
+
+def _minimal(
+    data: RationalProblem, load: fmpq_mat, along: dict[str, fmpq_mat], least: _Sharing
+) -> tuple[fmpq_mat, _Sharing, fmpq_mat] | None:
+    """Return the rates of displacements without friction, those of forces, and motions (n, r) that may be added.
+
+    None where the load drives a motion that nothing holds.
+
+    Parameters
+    ----------
+    data : RationalProblem, that of the answer
+    load : (n, 1) fmpq_mat, what drives the rates
+    along : dict, the direction
+    least : _Sharing, the forces of the answer that the direction leaves
+    """
+    closed, gap = least.pushing, along["gap"]
+    others = [i for i in least.contacts if i not in closed]
+    posed = RationalProblem(
+        K=data.K, f=load, E=take(data.E, others), g=take(gap, others), A=stack(data.A, take(data.E, closed)),
+        b=stack(along["tie"], take(gap, closed)), T=zeros(0, data.unknowns), friction=(fmpq(0),) * len(others),
+        slip_origin=zeros(0, 1),
+    )  # fmt: skip
+    try:
+        found = settle(posed, [(), tuple(range(len(others)))], MOST_PIVOTS)
+    except NoSolution:
+        return None
+    du, ties = found.answer.displacement, found.answer.tie_force.entries()
+    pushes = dict(zip([*others, *closed], [*found.answer.normal_force.entries(), *ties[data.ties :]], strict=True))
+    apart = (gap - data.E * du).entries()
+    touching = tuple(i for i in least.contacts if apart[i] == 0)
+    forces = _column([*(pushes[i] for i in touching), *ties[: data.ties]])
+    free = [place for place, i in enumerate(touching) if i not in closed]
+    return du, _shared(data, touching, forces, free), found.motions
+
+
+def _rows_of(values: fmpq_mat) -> list[list[Fraction]]:
+    return [[fraction(x) for x in row] for row in values.tolist()]
+
+
 def _array(rows: list[Any], columns: int) -> Any:
     return np.array(rows, dtype=object).reshape(len(rows), columns)
+
+
+def _column(values: list[fmpq]) -> fmpq_mat:
+    return fmpq_mat(len(values), 1, values)
 
 
 def _fractions(values: list[fmpq]) -> Fractions:
