@@ -132,6 +132,11 @@ def _unjson(_: Any) -> Any:
     return lambda message, code, ending: print(message, code, ending)
 
 
+def _in_lines(_: Any) -> Any:
+    """An error is printed as it was raised, in as many lines."""
+    return lambda message: print("contactqp:", message.replace(": ", ":\n"), file=sys.stderr)
+
+
 FAULTS: dict[str, Fault] = {
     "none": contextlib.nullcontext,
     "tension": _certificate_with(_tension_forgiven),
@@ -152,4 +157,5 @@ FAULTS: dict[str, Fault] = {
     "warning": _certificate_with(_warns),
     "reader": lambda: _patched(own_answers, "load_json", _unrefused),
     "json": lambda: _patched(output, "print_error", _unjson),
+    "lines": lambda: _patched(output, "complain", _in_lines),
 }

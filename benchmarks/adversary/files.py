@@ -1,4 +1,4 @@
-"""Mutated files of every format, and mutated case files through the commands that read them."""
+"""Mutated files of every format, and mutated files and words through the commands that take them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from unittest.mock import patch
 import contactqp as cq
 from benchmarks.adversary.judging import Judge
 from benchmarks.bricks import Generator
-from benchmarks.fuzz_readers import JUDGED, REFUSED, run_format
+from benchmarks.decks import write_decks
+from benchmarks.fuzz_readers import JUDGED, LONGEST_MESSAGE, REFUSED, run_format
 from benchmarks.mutations import mutate
 from benchmarks.valid_files import SLOW, Seed, problem, seeds
 from contactqp.cli import main
@@ -30,6 +31,42 @@ IN_OWN_PROCESS = ("quadratic-program.mat", "quadratic-program.qps")
 SLOW_TRIALS = 0.02
 # What commands end with: done, not certified, refused, something is missing.
 EXITS = (0, 1, 2, 3)
+REFUSED_BY = (2, 3)
+# Names and numbers that somebody may type, and commands that take them; FOLDER/WORD is a file that may be written.
+WORDS = (
+    "",
+    "-",
+    "x",
+    "bar_wall",
+    "all",
+    "named",
+    "hard",
+    "truss-over-floor",
+    "a" * 300,
+    "1" * 5000,
+    "..",
+    "a\nb",
+    "nan",
+    "1e400",
+    "-1",
+    "0",
+    "2",
+    "\u0663",
+    "\0",
+    "\udcff",
+    "[bold]",
+    "%s",
+    "x.toml",
+    "*.toml",
+    "/dev/null",
+)
+SPOKEN = (
+    "init FOLDER/WORD", "init FOLDER/WORD.toml --like WORD", "cases WORD", "cases WORD --json", "schema WORD",
+    "gallery --list --count 1 --kind WORD", "gallery --list --name WORD --json", "methods WORD", "oracle WORD",
+    "gallery --list --count 1 --difficulty WORD", "gallery FOLDER/WORD --name truss-over-floor --as WORD",
+    "run CASE --time-limit WORD --json", "run CASE --method WORD", "run CASE --units WORD", "run CASE --csv WORD",
+    "explain WORD --no-solve", "export WORD --inp FOLDER/deck", "crosscheck WORD", "check --verify WORD --json",
+)  # fmt: skip
 
 
 class Files:
@@ -42,6 +79,30 @@ class Files:
         self.seeds = [seed for seed in found if not seed.name.startswith(SLOW)]
         self.slow = [seed for seed in found if seed.name.startswith(SLOW)]
         self.problem = cq.write_problem(self.folder / "checked", problem(), cq.solve(problem()))
+        self.asked = self._asked()
+
+    def _asked(self) -> list[tuple[Path, list[str]]]:
+        """Return files beside cases and answers, each with a command that reads it."""
+        answer, receipt, loads = (self.folder / name for name in ("judged.json", "receipt.json", "loads.csv"))
+        answer.write_bytes((self.problem / "answer.json").read_bytes())
+        loads.write_text("case,1.x,2.x\none,1e5,2e5\ntwo,-3e4,\nthree,,1e5\n")
+        exported = self.folder / "exported.toml"
+        exported.write_bytes((CASES / "patch_two_blocks.toml").read_bytes())
+        decks = self.folder / "decks"
+        decks.mkdir()
+        write_decks(decks)
+        check = ["check", str(self.problem), str(answer), "--receipt"]
+        assert _ended([*check, str(receipt)], b"")[0] == 0
+        asked = [
+            (receipt, ["check", "--verify", str(receipt)]),
+            (answer, [*check, str(self.folder / "another.json")]),
+            (loads, ["run", str(CASES / "two_bars.toml"), "--loads", str(loads)]),
+            (exported, ["export", str(exported), "--inp", str(self.folder / "deck")]),
+        ]
+        for name in ("plane", "space", "assembled"):
+            files = [decks / f"{name}.inp", decks / f"{name}.dat"]
+            asked += [(file, ["crosscheck", *map(str, files)]) for file in files]
+        return asked
 
     def judge(self, judge: Judge, rng: Generator) -> None:
         """Mutate the files of one format, one case file or one answer, and ask about each."""
@@ -51,10 +112,14 @@ class Files:
         elif drawn < 0.5:
             seed = self.seeds[int(rng.integers(0, len(self.seeds)))]
             self._read(judge, seed, rng, OWN_PROCESS if seed.name in IN_OWN_PROCESS else FILES)
-        elif drawn < 0.8:
+        elif drawn < 0.7:
             self._command(judge, rng)
-        else:
+        elif drawn < 0.82:
             self._check(judge, rng)
+        elif drawn < 0.95:
+            self._ask(judge, rng)
+        else:
+            self._speak(judge, rng)
 
     def _read(self, judge: Judge, seed: Seed, rng: Generator, files: int) -> None:
         numbers = rng.integers(0, 2**31, files).tolist()
@@ -84,16 +149,48 @@ class Files:
             command = ["check", str(self.problem), "-" if piped else str(file), *["--json"] * int(rng.integers(0, 2))]
             _judge_command(judge, command, what, changed)
 
+    def _ask(self, judge: Judge, rng: Generator) -> None:
+        file, command = self.asked[int(rng.integers(0, len(self.asked)))]
+        original = file.read_bytes()
+        for _ in range(FILES):
+            changed, what = mutate(original, rng)
+            file.write_bytes(changed)
+            as_json = ["--json"] * int(command[0] != "export" and rng.random() < 0.4)
+            _judge_command(judge, [*command, *as_json], what, b"")
+        file.write_bytes(original)
+
+    def _speak(self, judge: Judge, rng: Generator) -> None:
+        for _ in range(FILES):
+            command = str(rng.choice(SPOKEN)).split()
+            word = WORDS[int(rng.integers(0, len(WORDS)))]
+            with tempfile.TemporaryDirectory() as folder:
+                places = {"WORD": word, "FOLDER": folder, "CASE": str(CASES / "bar_wall.toml")}
+                _judge_command(judge, [_filled(part, places) for part in command], repr(word[:20]), b"")
+
+
+def _filled(part: str, places: dict[str, str]) -> str:
+    for name, value in places.items():
+        part = part.replace(name, value)
+    return part
+
 
 def _judge_command(judge: Judge, command: list[str], what: str, piped: bytes) -> None:
-    """A command ends with an exit code that it promises; its errors are JSON where that was asked for."""
+    """A command ends with an exit code that it promises; an error is one line, and JSON where that was asked for."""
     code, out, err = _ended(command, piped)
     judge.judgements += 1
     words = " ".join(word for word in command if "/" not in word)
     if code not in EXITS or "Traceback" in err:
         judge.found("crashed", f"{words} ({what})", f"exit {code}: {err[-300:]}")
-    elif code == 2 and "--json" in command and not _is_json(out):
+    elif code in REFUSED_BY and "--json" in command and not _is_json(out):
         judge.found("printed", f"{words} ({what})", f"no JSON: {out[-300:]}")
+    elif code in REFUSED_BY and not _in_one_line(err):
+        judge.found("printed", f"{words} ({what})", f"no line of its own: {err[-300:]}")
+
+
+def _in_one_line(text: str) -> bool:
+    """Return whether an error is one line that can be read; how a command is used takes lines, and warnings do."""
+    lines = [line for line in text.splitlines() if not line.startswith("contactqp: warning:")]
+    return text.startswith("Usage: ") or (len(lines) == 1 and len(lines[0]) <= LONGEST_MESSAGE)
 
 
 def _is_json(text: str) -> bool:

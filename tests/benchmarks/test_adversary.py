@@ -17,10 +17,11 @@ pytest.importorskip("flint")
 
 from benchmarks.adversary.__main__ import main
 from benchmarks.adversary.faults import FAULTS
+from benchmarks.adversary.files import _ended, _judge_command
 from benchmarks.adversary.grammar import BODIES, CONTACTS, HELD, LOADS, REPEATS, SIZES, draw
-from benchmarks.adversary.judging import Finding
+from benchmarks.adversary.judging import Finding, Judge
 from benchmarks.adversary.shrinking import shrunk
-from benchmarks.adversary.trials import KINDS, trial, write_smallest
+from benchmarks.adversary.trials import KINDS, files, trial, write_smallest
 from benchmarks.friction_families import Posed
 
 # Of a fault, what must be said of it.
@@ -39,6 +40,7 @@ SEEN_AS = {
     "warning": {"crashed"},
     "reader": {"crashed"},
     "json": {"printed"},
+    "lines": {"printed"},
 }
 
 
@@ -89,6 +91,24 @@ def test_a_few_trials_find_nothing(kind: str) -> None:
     assert sum(one.judgements for one in done) >= 20
     if kind == "frictionless":
         assert sum(one.exact for one in done) == 6
+
+
+@pytest.mark.slow
+def test_the_commands_that_read_mutated_files_work_as_they_stand() -> None:
+    """A command that is refused anyhow looks at no file; what it says of another one is then nothing."""
+    for file, command in files().asked:
+        code, out, err = _ended(command, b"")
+        assert code == 0, (file, err)
+        assert out
+
+
+def test_an_error_of_several_lines_is_a_finding() -> None:
+    judge = Judge(None, 0)  # type: ignore[arg-type]  # there is no problem with a truth
+    _judge_command(judge, ["run", "nowhere.toml"], "as it stands", b"")
+    assert judge.findings == []
+    with FAULTS["lines"]():
+        _judge_command(judge, ["run", "nowhere.toml"], "as it stands", b"")
+    assert [one.kind for one in judge.findings] == ["printed"]
 
 
 def test_problems_shrink_to_what_shows_a_finding() -> None:
