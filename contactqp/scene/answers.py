@@ -7,10 +7,10 @@ which the elements read themselves.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -139,6 +139,8 @@ class Answer:
     def value_of(self, claim: Claim) -> Any:
         """Return the claim's quantity in the scene's units: a number, words, or the numbers of a matrix row by row."""
         measure = claim.measure
+        if claim.with_respect_to is not None:
+            return READERS[claim.quantity](claim, replace(self, solution=cast(Solution, _Rates(claim, self))))
         if measure.read is None:
             return READERS[claim.quantity](claim, self)
         return measure.read(self.scene.element(str(measure.at), str(claim.at)), self)
@@ -158,6 +160,38 @@ class Answer:
         from contactqp.scene.moving import DeformableModel
 
         return DeformableModel(self.model).bar_force(name, self.solution.displacement)
+
+
+class _Rates:
+    """The derivatives of an answer by what a claim names, as a solution has the quantities themselves."""
+
+    def __init__(self, claim: Claim, answer: Answer) -> None:
+        self._claim, self._solution = claim, answer.solution
+        self._by = "load" if claim.with_respect_to == "load factor" else str(claim.with_respect_to)
+        if claim.with_respect_to == "load factor":
+            self._direction = _whole_load(answer.model)
+            return
+        names = answer.exact.unknowns.free if self._by == "load" else [item.name for item in answer.scene.contacts]
+        self._direction = np.array([float(name == claim.of) for name in names])
+
+    def __getattr__(self, name: str) -> Any:
+        found = self._solution.derivative(name, self._by, self._direction)
+        if found.value is None:
+            raise SceneError(f"{self._claim}: expected a derivative, and there is none: {found.reason}")
+        return found.value
+
+
+def _whole_load(model: NodeModel) -> Array:
+    """Return what a unit of the load factor adds to the loads, (n,) [force]."""
+    return np.asarray(model.load_at(Fraction(1)) - model.load_at(Fraction(0)))
+
+
+def _next_event(claim: Claim, answer: Answer) -> float:
+    found = answer.solution.derivative("gap", "load", _whole_load(answer.model))
+    if found.reach is None:
+        why = found.reason or "the answer is not linear in the load"
+        raise SceneError(f"{claim}: expected a next event, and none is known: {why}")
+    return float(answer.instant.time) + float(found.reach[1])
 
 
 def friction_along_axes(model: NodeModel, solution: Solution) -> Array:
@@ -331,6 +365,7 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
     "velocity": _velocity,
     "contact impulse": lambda claim, answer: float(answer.instant.impulses()[_contact(claim, answer)]),
     "closing load factor": _closing,
+    "next event load factor": _next_event,
     "closing load": _closing_load,
     "event time": _event_time,
     "event load": _event_load,

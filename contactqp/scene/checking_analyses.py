@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from contactqp.errors import SceneError
 from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import Measure
-from contactqp.scene.claims import QUANTITIES, Claim
+from contactqp.scene.claims import PARAMETERS, QUANTITIES, Claim
 from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.schema import Unknowns, end_time, load_names, start_values
 from contactqp.scene.units import Quantity
@@ -229,6 +229,7 @@ def _claim_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
     for j, name in enumerate(claim.unknowns or ()):
         if name not in places["unknown"]:
             raise SceneError(f"{where}.unknowns[{j}]: {no_such(name, places['unknown'], 'unknown')}")
+    _derivative_fits(where, claim, claimable)
     _motion_fits(where, claim, measure, scene)
     _large_fits(where, claim, measure, claimable)
     if measure.path and scene.path is None and scene.motion is None:
@@ -241,6 +242,23 @@ def _claim_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
         raise SceneError(f"{where}.load_factor: {claim.quantity!r} depends on no load")
     if scene.motion is None:
         _time_fits(where, claim, measure, claimable)
+
+
+def _derivative_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
+    """Raise SceneError if the claim is a derivative that the scene does not have."""
+    by, needed = claim.with_respect_to, PARAMETERS.get(str(claim.with_respect_to), ((), None))[1]
+    if claimable.corners and (by == "load factor" or claim.quantity == "next event load factor"):
+        raise SceneError(f"{where}: expected no load factor, since the load path has corners")
+    if by is None:
+        return
+    if claimable.kind != "nodes" or claimable.large or claimable.scene.motion is not None:
+        raise SceneError(
+            f"{where}.with_respect_to: expected in statics of nodes at small deformations alone, got {by!r}"
+        )
+    if needed is not None and claim.of not in claimable.places[needed]:
+        raise SceneError(f"{where}.of: {no_such(str(claim.of), claimable.places[needed], needed)}")
+    if by == "friction" and claim.of not in claimable.frictional:
+        raise SceneError(f"{where}.of: expected a contact with friction, {claim.of!r} has none")
 
 
 def _places_fit(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:

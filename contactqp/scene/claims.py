@@ -18,7 +18,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks import element_quantities
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.fields import Block, KnobStiffness, Name, Number, no_such
-from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, read_quantity
+from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, per, read_quantity
 
 ONE_ANSWER = "one answer"
 
@@ -50,10 +50,10 @@ _WHOLE_PATH: dict[str, Any] = {"path": True, "whole_way": True}
 _POINT: dict[str, Any] = {"counted": True, "whole_way": True}
 _READ_OFF: dict[str, Any] = {"solved": False, "small": True}
 QUANTITIES = {
-    "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown"),
-    "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact"),
-    "total normal force": Measure("sum of the normal forces of all contacts", ("force",)),
-    "gap": Measure("gap of a contact, positive when open", ("length",), at="contact"),
+    "displacement": Measure("displacement or rotation of an unknown", ("length", "angle"), at="unknown", rates=True),
+    "normal force": Measure("force of a contact, positive in compression", ("force",), at="contact", rates=True),
+    "total normal force": Measure("sum of the normal forces of all contacts", ("force",), rates=True),
+    "gap": Measure("gap of a contact, positive when open", ("length",), at="contact", rates=True),
     "status": Measure(
         "open, closed or grazing; with friction open, stick, slip or grazing", words=STATUS_WORDS, at="contact"
     ),
@@ -70,6 +70,7 @@ QUANTITIES = {
         at="contact",
         along="axis",
         friction=True,
+        rates=True,
     ),
     "slip": Measure(
         "component along an axis of the slip that a scene without a path makes from slip_origin",
@@ -80,13 +81,14 @@ QUANTITIES = {
         statics=True,
         small=True,
     ),
-    "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie"),
+    "tie force": Measure("multiplier nu of a tie, K u + A' nu = f", ("force", "moment"), at="tie", rates=True),
     "reaction": Measure("force of a support on the body", ("force", "moment"), at="support", statics=True),
     **element_quantities(),
     "energy": Measure(
         "1/2 u'Ku - f'u, of bodies on all unknowns with the prescribed ones; elastic energy - f'u where it is large",
         ("energy",),
         of="both",
+        rates=True,
     ),
     "elastic energy": Measure(
         "1/2 u'Ku on a load path or in a motion, by penalty methods with friction that of contact springs too; at "
@@ -117,6 +119,9 @@ QUANTITIES = {
     ),
     "closing load": Measure(
         "load on `along` when it closes", ("force",), at="contact", along="unknown", statics=True, **_WHOLE_PATH
+    ),
+    "next event load factor": Measure(
+        "load factor at which a contact next changes its state", ("number",), statics=True, small=True
     ),
     "event time": Measure(
         "pseudo-time of an event, in a motion its time; a side closes with its first node and opens with its last",
@@ -206,6 +211,13 @@ QUANTITIES = {
 
 
 KNOBS = ("penalty", "perturbation")
+# What a derivative can be by: the kinds of its numbers, and the thing that `of` names.
+PARAMETERS: dict[str, tuple[tuple[str, ...], str | None]] = {
+    "load factor": (("number",), None),
+    "load": (("force", "moment"), "unknown"),
+    "gap": (("length",), "contact"),
+    "friction": (("number",), "contact"),
+}
 
 
 def _known_quantity(value: str) -> str:
@@ -260,6 +272,10 @@ class Claim(Block):
     `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` which of those of one
     kind, counted from 1, or from the end, the last being -1. Limit points and snaps at large deformations are counted
     alike. Where an unknown is controlled there, `reached` is its displacement at the step that is meant.
+
+    `with_respect_to` asks for the derivative of the quantity, whose unit is that of the quantity over that of the
+    parameter: the load factor, or the load on an unknown, the gap or the coefficient of friction of a contact, which
+    `of` names. Contacts keep their states; where the two sides differ there is none, and the message says why.
     """
 
     quantity: QuantityName
@@ -271,6 +287,8 @@ class Claim(Block):
     load_factor: Number = Fraction(1)  # of a load path
     time: Annotated[Fraction | Quantity, PlainValidator(_instant)] | None = None
     reached: fields.Length | None = None
+    with_respect_to: Literal["load factor", "load", "gap", "friction"] | None = None  # a derivative: by what
+    of: Name | None = None  # the unknown that is loaded, or the contact, of the parameter
     event: Literal["closed", "opened", "stick", "slip"] | None = None  # of the contact, when it happens
     occurrence: Annotated[int, Field(strict=True), AfterValidator(_not_zero)] = 1
     method: Name | None = None  # the only one that is meant; without it all that promise exact answers
@@ -286,7 +304,8 @@ class Claim(Block):
     @cached_property
     def kinds(self) -> list[Kind]:
         """Return the kinds of numbers that its value can be."""
-        return [KINDS[name] for name in self.measure.kinds]
+        own, by = [KINDS[name] for name in self.measure.kinds], self.with_respect_to
+        return own if by is None else [per(kind, KINDS[name]) for kind in own for name in PARAMETERS[by][0]]
 
     @cached_property
     def knobs(self) -> dict[str, Quantity | str]:
@@ -323,7 +342,21 @@ class Claim(Block):
             raise ValueError("expected 'reached' or a load factor, got both")
         if self.knobs and self.method is None:
             raise ValueError(f"{next(iter(self.knobs))!r} expects 'method', whose knob it is")
+        self._derivative_fits()
         return self
+
+    def _derivative_fits(self) -> None:
+        """Raise ValueError where a derivative is not one of this quantity, or does not say by what."""
+        by = self.with_respect_to
+        if by is not None and not self.measure.rates:
+            own = ", ".join(repr(name) for name, measure in QUANTITIES.items() if measure.rates)
+            raise ValueError(f"the quantity {self.quantity!r} expects no 'with_respect_to'; derivatives have {own}")
+        if by is not None and self.method is not None:
+            raise ValueError("'with_respect_to' expects no 'method': derivatives are those of the exact answer")
+        needed = None if by is None else PARAMETERS[by][1]
+        if (self.of is None) != (needed is None):
+            what = f"'of' naming the {needed}" if needed else "no 'of'"
+            raise ValueError(f"with_respect_to = {by!r} expects {what}" if by else "'of' expects 'with_respect_to'")
 
     def __str__(self) -> str:
         where = f" {self.at}" if self.at else ""
@@ -334,6 +367,8 @@ class Claim(Block):
         if self.occurrence < 0:
             which = " (the last)" if self.occurrence == -1 else f" ({-self.occurrence} from the end)"
         where += f" of {self.event!r}{which}" if self.event is not None else which
+        if self.with_respect_to is not None:
+            where += f" with respect to {self.with_respect_to}" + (f" of {self.of}" if self.of else "")
         if self.reached is not None:
             return f"{self.quantity}{where} where {self.reached} is reached"
         if self.time is not None:

@@ -69,7 +69,8 @@ class Trial:
     def concerns(self, claim: Claim) -> bool:
         """Return whether the claim is about this method: by name and knobs, or as both are about the exact answer."""
         if claim.method is None:
-            return self.engine != SERIAL or find(self.method).exact
+            serial = self.engine == SERIAL
+            return find(self.method).exact if serial else claim.with_respect_to is None
         stated = {name: knob for name, knob in self.knobs.items() if name in (*KNOBS, "update")}
         return claim.method == self.method and claim.knobs == stated
 

@@ -274,6 +274,17 @@ KINDS = {
 }
 
 
+def per(kind: Kind, other: Kind) -> Kind:
+    """Return what a number of one kind is for a unit of another.
+
+    >>> per(KINDS["force"], KINDS["length"]).example
+    '1 kN/m'
+    """
+    dimension = kind.dimension.times(other.dimension.power(-1))
+    unit = UnitSystem("m", "kN").label(dimension) if any(dimension) else ""
+    return Kind(f"{kind.name} per {other.name}", dimension, f"1 {unit}".strip())
+
+
 @dataclass(frozen=True)
 class Quantity:
     """An exact value in newton, metre and second, with the text it came from."""

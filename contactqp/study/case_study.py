@@ -132,7 +132,7 @@ class CaseStudy:
 
 
 def _at_full_load(claim: Expectation) -> bool:
-    at_end = claim.load_factor == 1 and claim.time is None and claim.reached is None
+    at_end = claim.load_factor == 1 and claim.time is None and claim.reached is None and claim.with_respect_to is None
     of_history = claim.measure.path or claim.measure.motion or claim.measure.whole_way
     return claim.method is None and at_end and claim.measure.solved and not of_history
 

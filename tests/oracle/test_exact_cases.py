@@ -11,6 +11,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.oracle.exact.enclosed_scene import root
+from contactqp.scene.answers import Answer, Instant
+from contactqp.scene.building import build
 from contactqp.scene.claims import Expectation
 from contactqp.scene.scene import Scene
 from tests.shipped_cases import SCENES
@@ -116,7 +118,7 @@ def test_what_a_case_claims_is_exactly_so(name: str) -> None:
     for claim in scene.expect:
         if claim.method is not None or claim.time is not None or claim.reached is not None:
             continue
-        if claim.load_factor != 1:
+        if claim.load_factor != 1 or claim.with_respect_to is not None:
             continue
         if claim.quantity == "status":
             at = [c.name for c in scene.contacts].index(str(claim.at))
@@ -129,6 +131,21 @@ def test_what_a_case_claims_is_exactly_so(name: str) -> None:
             assert abs(found[0] - value) <= F(found[1]) + (0 if answer.rational else abs(value) / 10**digits), claim
             checked += 1
     assert checked or name == "truss_free"
+
+
+@pytest.mark.parametrize("name", ["bar_touch_down", "bar_gap_design", "truss_friction"])
+def test_derivatives_that_a_case_claims_are_those_of_its_numbers_in_fractions(name: str) -> None:
+    scene = cq.load_scene(CASES / f"{name}.toml")
+    model, checked = build(scene), 0
+    for claim in scene.expect:
+        if claim.with_respect_to is None:
+            continue
+        problem = model.problem.replace(load=model.load_at(claim.load_factor))
+        answer = Answer(model, cq.exact(problem), Instant(claim.load_factor))
+        value = scene.system.value(claim.targets[0])
+        assert abs(F(answer.value_of(claim)) - value) <= F(1, 10**14) * abs(value), claim  # data rounded to doubles
+        checked += 1
+    assert checked >= 3
 
 
 def test_irrational_lengths_are_enclosed_and_hold_the_root_of_two() -> None:

@@ -43,6 +43,54 @@ def test_an_expectation_is_met_or_not(right, wrong):
     assert not not_met.ok, not_met
 
 
+BY_LOADS = {"with_respect_to": "load factor"}
+BY_GAP = {"with_respect_to": "gap", "of": "tip"}
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        (expectation("normal force", "-157500 kN/m", at="tip", **BY_GAP), "-157499.999 kN/m"),
+        (expectation("normal force", "-157500 N/mm", at="tip", **BY_GAP), "157500 N/mm"),
+        (expectation("displacement", "1", at="1.x", **BY_GAP), "0.999"),
+        (expectation("energy", "-142.5 kN", **BY_GAP), "142.5 kN"),
+        (expectation("normal force", "300 kN", at="tip", **BY_LOADS), "142.5 kN"),
+        (expectation("total normal force", "1", with_respect_to="load", of="1.x"), "0.5"),
+        (expectation("gap", "-1/525 m", at="tip", load_factor="1/6", **BY_LOADS), "1/525 m"),
+        (expectation("next event load factor", "21/40", load_factor="1/6"), "1"),
+    ],
+)
+def test_a_derivative_is_met_or_not(right, wrong):
+    met, not_met = judged(right, right | {"value": wrong}).expectations
+    assert met.ok, met
+    assert not not_met.ok, not_met
+
+
+def test_derivatives_that_a_scene_does_not_have():
+    force = expectation("normal force", "1 kN/m", at="tip", **BY_GAP)
+    for changes, message in (
+        ({"value": "1 kN"}, r'expected a force per length such as "1 kN/m"'),
+        ({"of": None}, "expects 'of' naming the contact"),
+        ({"of": "top"}, r"expect\[0\].of: "),
+        ({"with_respect_to": None}, "'of' expects 'with_respect_to'"),
+        ({"with_respect_to": "friction", "value": "1 kN"}, "expected a contact with friction"),
+        ({"with_respect_to": "mass"}, "with_respect_to"),
+        ({"quantity": "bar force", "at": "bar"}, "expects no 'with_respect_to'; derivatives have"),
+        ({"method": "penalty", "penalty": "1e8 kN/m"}, "expects no 'method'"),
+    ):
+        stated = {key: value for key, value in (force | changes).items() if value is not None}
+        with pytest.raises(cq.SceneError, match=message):
+            judged(stated)
+    corners = {"path": {"corners": [{"push": 1}], "steps": 2}, "loads": [WALL["loads"][0] | {"name": "push"}]}
+    with pytest.raises(cq.SceneError, match="expected no load factor, since the load path has corners"):
+        judged(expectation("normal force", "1 kN", at="tip", **BY_LOADS), **corners)
+    touching = expectation("normal force", "0 kN", at="tip", tolerance="1e-9 kN", load_factor="525/1024", **BY_LOADS)
+    with pytest.raises(
+        cq.SceneError, match="expected a derivative, and there is none: the two sides differ: tip grazes"
+    ):
+        judged(touching, obstacles=[WALL["obstacles"][0] | {"point": ["(2 + 1/1024) m"]}])  # g = 525/1024 P / K
+
+
 def test_path_quantities():
     path = {"events": "exact"}
     rows = judged(

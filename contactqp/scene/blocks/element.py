@@ -45,6 +45,7 @@ class Measure:
     counted: bool = False  # there are several of it: ``occurrence`` says which
     event: bool = False  # ``event`` is a change of a contact, and ``occurrence`` which of several
     friction: bool = False  # needs a contact with friction
+    rates: bool = False  # has derivatives: ``with_respect_to`` may ask for one
     whole_way: bool = False  # of the whole load path, not of an instant of it
     of: str = "nodes"  # the scenes that it can be asked of: "nodes", "bodies" or "both"
     read: Callable[[Any, Any], float] | None = None  # from an element and a NodeAnswer, where it is asked of elements
