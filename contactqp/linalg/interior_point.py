@@ -24,17 +24,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.equilibration import equilibrated, mostly_bare, nearest_bounds
-from contactqp.linalg.existence import (
-    DRIVEN,
-    NO_PART,
-    PROJECTIONS,
-    conflict_of,
-    refuse_drive_along,
-    refuse_proven,
-)
-from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
-from contactqp.linalg.least_norm import by_single_changes, carried_by_rows, least_solution
+from contactqp.linalg.equilibration import mostly_bare
+from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
+from contactqp.linalg.factorization import with_added_diagonal
+from contactqp.linalg.least_norm import by_single_changes, carried_by_rows
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.schur import factorised
@@ -48,7 +41,7 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import EPS, TINY, Mask, Vector, all_finite, refuse_late
+from contactqp.model.arrays import EPS, TINY, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -179,21 +172,22 @@ def _felt(limits: Vector) -> Vector:
     return np.where(abs(limits) > CARRIES, limits, 0.0)
 
 
-# Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
-NEARLY = 1e-5
 # A backend's displacement is taken to be off by this part of its size.
 BACKEND_IS_OFF = 1e-9
 # Added to the diagonal of the matrix of a step; refinement in double precision takes it back.
-REGULARISATION, REFINEMENTS = 1e-8, 2
+REGULARISATION, REFINEMENTS = 1e-10, 2
 STEPS = 25
-# The part of the way to the nearest zero of a force or a slack that a step goes.
-SHORT_OF_ZERO = 0.9995
+# The part of the way to the nearest zero of a force or a slack that a step goes: nearer, the next ones are cut short.
+SHORT_OF_ZERO = 0.99
 # The work that a predicted step leaves, over that of now, counts as so much at most.
 MOST_CENTRED = 1e3
 # Steps that are cut to less than this part of their length end the iteration.
 SHORTEST_STEP = 1e-6
 # Work of all forces on all slacks, as a part of the energies that meet, from which on they are told apart.
 SEPARATED = 1e-22
+# They are told apart, too, by a step that leaves this part and less of each that vanishes and this part and more of the
+# other, as their limits are 0 and 1 (the indicators of El-Bakry, Tapia and Zhang 1994).
+VANISHES, STAYS = 0.1, 0.5
 # Forces and slacks of the start are at least this part of the geometric mean of their largest products.
 LEAST = 1e-3
 
@@ -331,18 +325,27 @@ def solved_from(
 
 def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> CentralPoint:
     """Return the point of the central path that Newton's steps from an answer of an equilibrated problem come to."""
-    point = _near_path(problem, answer)
+    point, system = _near_path(problem, answer), PathSystem(problem)
     for _ in range(STEPS):
         if point.work <= SEPARATED * _energies(problem, point):
             break
         try:
-            after, length = _step(problem, point, effort)
+            after, length = _step(system, point, effort)
         except BackendFailed:
             break
         if length < SHORTEST_STEP or not np.all(np.isfinite(after.displacement)):
             break
-        point = after
+        before, point = point, after
+        if _told_apart(before, point):
+            break
     return point
+
+
+def _told_apart(before: CentralPoint, after: CentralPoint) -> bool:
+    """Return whether in a step each contact kept one of force and slack while the other vanished."""
+    force, slack = after.force / before.force, after.slack / before.slack
+    vanishing, kept = np.where(after.closed, slack, force), np.where(after.closed, force, slack)
+    return bool(np.all((before.closed == after.closed) & (vanishing <= VANISHES) & (kept >= STAYS)))
 
 
 def _near_path(problem: ContactProblem, answer: Answer) -> CentralPoint:
@@ -361,10 +364,10 @@ def _energies(problem: ContactProblem, point: CentralPoint) -> float:
     )
 
 
-def _step(problem: ContactProblem, point: CentralPoint, effort: Effort) -> tuple[CentralPoint, float]:
+def _step(system: PathSystem, point: CentralPoint, effort: Effort) -> tuple[CentralPoint, float]:
     """Make a predictor-corrector step; return the next point and the step length, at most one."""
-    u, l, s = point.displacement, point.force, point.slack  # noqa: E741
-    solve = _solver(problem, s / l, effort)
+    problem, u, l, s = system.problem, point.displacement, point.force, point.slack  # noqa: E741
+    solve = system.solver(s / l, effort)
     force = problem.load - problem.stiffness_rows @ u - problem.normal.T @ l - problem.tie.T @ point.tie_force
     slack, tie = problem.gap - problem.normal @ u - s, problem.tie_value - problem.tie @ u
     du, dl, _ = solve(force, slack + s, tie)
@@ -386,99 +389,53 @@ def _until_zero(values: Vector, change: Vector) -> float:
     return float(1.0 / max(1.0, np.max(-change / values, initial=0.0)))
 
 
-def _solver(problem: ContactProblem, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector], Step]:
-    """Return a function that solves K u + E'l + A'nu = f, E u - c l = g, A u = b, c (m,) compliances of contacts.
+class PathSystem:
+    """The systems K u + E'l + A'nu = f, E u - c l = g, A u = b of steps, with compliances c (m,) of the contacts.
 
     Contacts of one unknown alone, bounds, are eliminated beforehand: they add E_ij^2 / c_i to its stiffness.
     """
-    E, A, n, k = problem.normal, problem.tie, problem.dimension, problem.ties
-    single = np.diff(E.indptr) == 1
-    bounds, others = np.flatnonzero(single), np.flatnonzero(~single)
-    unknown, entry = E.indices[E.indptr[bounds]], E.data[E.indptr[bounds]]
-    diagonal = np.full(n, REGULARISATION) + np.bincount(unknown, entry**2 / compliance[bounds], n)
-    rows = sp.vstack([E[others], A], format="csr")
-    below = -np.concatenate([compliance[others], np.zeros(k)]) - REGULARISATION
-    stiffness = problem.stiffness_rows + sp.diags(diagonal)
-    refuse_late("the next step along the central path")
-    matrix = sp.bmat([[stiffness, rows.T], [rows, sp.diags(below)]], format="csc") if rows.shape[0] else stiffness
-    factor = factorised(sp.csc_matrix(matrix), INDEFINITE, elimination_order(problem), np.arange(n))
-    effort.factorisations += 1
 
-    def once(force: Vector, gap: Vector, tie: Vector) -> Step:
-        effort.back_substitutions += 1
-        by_bounds = np.bincount(unknown, entry * gap[bounds] / compliance[bounds], n)
-        found = factor(np.concatenate([force + by_bounds, gap[others], tie]))
-        u, pushed = found[:n], np.zeros(len(gap))
-        pushed[others] = found[n : n + len(others)]
-        pushed[bounds] = (entry * u[unknown] - gap[bounds]) / compliance[bounds]
-        return u, pushed, found[n + len(others) :]
+    def __init__(self, problem: ContactProblem) -> None:
+        E, n = problem.normal, problem.dimension
+        single = np.diff(E.indptr) == 1
+        self.problem, self._bounds, self._others = problem, np.flatnonzero(single), np.flatnonzero(~single)
+        starts = E.indptr[self._bounds]
+        self._unknown, self._entry = E.indices[starts], E.data[starts]
+        rows = sp.vstack([E[self._others], problem.tie], format="csr")
+        count = rows.shape[0]
+        blocks = [[problem.stiffness_rows, rows.T], [rows, sp.csr_matrix((count, count))]] if count else None
+        matrix = sp.bmat(blocks, format="csr") if blocks else sp.csr_matrix(problem.stiffness_rows)
+        self._matrix = sp.csc_matrix(with_added_diagonal(matrix, np.full(n + count, REGULARISATION)).T)
+        columns = np.repeat(np.arange(n + count), np.diff(self._matrix.indptr))
+        self._on_diagonal = np.flatnonzero(self._matrix.indices == columns)
 
-    def refined(force: Vector, gap: Vector, tie: Vector) -> Step:
-        u, l, nu = once(force, gap, tie)  # noqa: E741
-        for _ in range(REFINEMENTS):
-            left = force - problem.stiffness_rows @ u - E.T @ l - A.T @ nu
-            du, dl, dn = once(left, gap - E @ u + compliance * l, tie - A @ u)
-            u, l, nu = u + du, l + dl, nu + dn  # noqa: E741
-        return u, l, nu
+    def solver(self, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector], Step]:
+        """Return a function that gives u, l, nu of f, g, b; raises BackendFailed as `factorised` does."""
+        problem, bounds, others, unknown, entry = self.problem, self._bounds, self._others, self._unknown, self._entry
+        E, A, n, k = problem.normal, problem.tie, problem.dimension, problem.ties
+        stiffer = np.bincount(unknown, entry**2 / compliance[bounds], n)
+        softer = np.concatenate([compliance[others], np.zeros(k)]) + 2 * REGULARISATION
+        refuse_late("the next step along the central path")
+        matrix = self._matrix.copy()
+        matrix.data[self._on_diagonal] += np.concatenate([stiffer, -softer])
+        factor = factorised(matrix, INDEFINITE, elimination_order(problem), np.arange(n))
+        effort.factorisations += 1
 
-    return refined
+        def once(force: Vector, gap: Vector, tie: Vector) -> Step:
+            effort.back_substitutions += 1
+            by_bounds = np.bincount(unknown, entry * gap[bounds] / compliance[bounds], n)
+            found = factor(np.concatenate([force + by_bounds, gap[others], tie]))
+            u, pushed = found[:n], np.zeros(len(gap))
+            pushed[others] = found[n : n + len(others)]
+            pushed[bounds] = (entry * u[unknown] - gap[bounds]) / compliance[bounds]
+            return u, pushed, found[n + len(others) :]
 
+        def refined(force: Vector, gap: Vector, tie: Vector) -> Step:
+            u, l, nu = once(force, gap, tie)  # noqa: E741
+            for _ in range(REFINEMENTS):
+                left = force - problem.stiffness_rows @ u - E.T @ l - A.T @ nu
+                du, dl, dn = once(left, gap - E @ u + compliance * l, tie - A @ u)
+                u, l, nu = u + du, l + dl, nu + dn  # noqa: E741
+            return u, l, nu
 
-def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
-    """Raise NoEquilibrium where an answer that a backend does not call solved is a ray that proves it.
-
-    Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements
-    along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
-    unknowns first, and the rest is formed in extended precision. `diverged` is in the units of the equilibrated twin.
-    """
-    if not all_finite(diverged):
-        return
-    twin, scaling = equilibrated(problem)
-    weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)
-    if weights is not None:
-        units = np.concatenate([scaling.contacts, scaling.ties])
-        refuse_proven(problem, conflict_of(problem, scaling.unknowns, weights / units))
-    largest = float(np.max(abs(diverged.displacement), initial=0.0))
-    if largest > 0:
-        motion = diverged.displacement / largest
-        if twin.load @ motion > DRIVEN * (abs(twin.load) @ abs(motion)) and _rests(twin, motion):
-            refuse_drive_along(problem, motion, strictly=True)
-
-
-def _rests(problem: ContactProblem, motion: Vector) -> bool:
-    """Return whether nothing resists a motion by more than a backend's tolerance could hide."""
-    felt = (abs(problem.stiffness_rows @ motion), np.maximum(problem.normal @ motion, 0.0), abs(problem.tie @ motion))
-    return all(float(np.max(part, initial=0.0)) <= NEARLY for part in felt)
-
-
-def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | None:
-    """Return weights (m + k,) near these with which the rows nearly cancel and overlap; None where they do not."""
-    limit = np.concatenate([problem.gap, problem.tie_value])
-    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
-    weights = np.concatenate([normal, tie])
-    size = float(np.max(abs(weights), initial=0.0))
-    if not size > 0:
-        return None
-    weights = np.where(abs(weights) > NO_PART * size, weights / size, 0.0)
-    if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
-        return None
-    across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
-    for passed in range(PROJECTIONS):
-        left = (across @ extend(weights)).double()
-        taken = np.where(left > 0, bounds[0], np.where(left < 0, bounds[1], np.minimum(*bounds)))
-        part = sp.csc_matrix(sp.diags(abs(weights)) @ rows).T
-        part.eliminate_zeros()
-        entries = np.diff(part.indptr)
-        kept = np.flatnonzero((entries > 1) if passed else (taken < 0) & (entries > 0))
-        if not np.any(left[kept]):
-            break
-        try:
-            weights = weights * (1.0 - np.sign(weights) * least_solution(part[kept], left[kept]))
-        except BackendFailed:
-            return None
-    left = (across @ extend(weights)).double()
-    taken = np.where(left > 0, bounds[0], bounds[1])
-    on = np.flatnonzero((left != 0) & (taken >= 0))
-    entries = abs(problem.normal.data[problem.normal.indptr[taken[on]]])
-    np.add.at(weights, taken[on], abs(left[on]) / entries)
-    return None if np.any(weights[: problem.contacts] < 0) else weights
+        return refined

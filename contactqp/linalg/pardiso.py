@@ -322,6 +322,8 @@ class EliminationOrder:
         self._place = np.full(unknowns, np.nan)  # of each unknown in the order, NaN where that is not known
         self._entries = 0.0  # of the factors that it was found for, for each row of a symmetric one
         self._of_saddle = False  # whether it was found with rows below the stiffness
+        self.wide = False  # whether the last matrix was found to be no narrow band
+        self.band: Any = None  # the order of the last that was one (`schur.Band`)
 
     def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:
         """Return the factors of a matrix whose first rows are those of these unknowns of the stiffness.

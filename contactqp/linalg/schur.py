@@ -154,6 +154,9 @@ FEW = 4
 LARGE = 2000
 # Products that factors of a band with row exchanges may take: less than a second.
 OF_BAND = 1e9
+# Up to so many entries beside the diagonal LAPACK's factors of a band take a tenth of the time of a sparse solver,
+# which spends most of it on an order of elimination; and entries a row above which none is looked for.
+NARROW, ENTRIES_OF_NARROW = 16, 12
 SOLVERS = ("superlu", "pardiso")
 CHOICES = (*SOLVERS, "pyamg")
 
@@ -275,7 +278,9 @@ def same_matrix(one: Any, other: Any) -> bool:
 
 
 def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indices) -> Callable[[Vector], Vector]:
-    """Return a function that solves with a sparse matrix, by PARDISO where it is installed and pays, else SuperLU.
+    """Return a function that solves with a sparse matrix: by LAPACK where it is a narrow band, by PARDISO, by SuperLU.
+
+    PARDISO is taken where it is installed and pays.
 
     Raises BackendFailed: the solver ran out of memory, or met a pivot of zero.
 
@@ -288,6 +293,14 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
     """
     if not matrix.shape[0]:
         return np.copy
+    if matrix.shape[0] > LARGE and not order.wide:
+        band: Band | None = order.band if order.band is not None and order.band.fits(matrix) else None
+        if band is None and matrix.nnz <= ENTRIES_OF_NARROW * matrix.shape[0]:
+            band = Band(matrix)
+        order.wide = band is None or band.width > NARROW
+        if band is not None and not order.wide:
+            order.band = band
+            return band.factorised(matrix)
     if matrix.shape[0] > LARGE and available():
         try:
             return order.factorised(matrix, unknowns, kind).solve_all
@@ -303,11 +316,49 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
     return solve
 
 
+class Band:
+    """The reverse Cuthill-McKee order of a sparse symmetric matrix (p, p), which makes its band narrow."""
+
+    def __init__(self, matrix: Any) -> None:
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+        matrix.sum_duplicates()
+        self._indices, self._starts = matrix.indices, matrix.indptr
+        self._order = reverse_cuthill_mckee(sp.csr_matrix(matrix), symmetric_mode=True)
+        place = np.empty_like(self._order)
+        place[self._order] = np.arange(len(place), dtype=place.dtype)
+        entries = matrix.tocoo()
+        self._row, self._column = place[entries.row], place[entries.col]
+        self.width = int(np.max(abs(self._row - self._column), initial=0))
+
+    def fits(self, matrix: Any) -> bool:
+        """Return whether a matrix has its entries where that of this order has them."""
+        return np.array_equal(self._starts, matrix.indptr) and np.array_equal(self._indices, matrix.indices)
+
+    def factorised(self, matrix: Any) -> Callable[[Vector], Vector]:
+        """Return a function that solves with a matrix of this order by LAPACK's factors with row exchanges.
+
+        Raises BackendFailed: the matrix is singular.
+        """
+        size, width, order = len(self._order), self.width, self._order
+        band = np.zeros((3 * width + 1, size), order="F")
+        band[2 * width + self._row - self._column, self._column] = matrix.data
+        factors, exchanges, singular = dgbtrf(band, width, width, overwrite_ab=1)
+        if singular:
+            raise BackendFailed(f"lapack: pivot {singular} is zero")
+
+        def solve(right: Vector) -> Vector:
+            found = np.empty(size)
+            found[order] = dgbtrs(factors, width, width, right[order], exchanges)[0]
+            return found
+
+        return solve
+
+
 def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
     """Return a function that solves with a sparse symmetric matrix by LAPACK's factors of its band, with row exchanges.
 
-    The band is that of the reverse Cuthill-McKee order. (With row exchanges SuperLU may end the process where a
-    matrix is nearly singular.)
+    (With row exchanges SuperLU may end the process where a matrix is nearly singular.)
 
     Raises BackendFailed: the matrix is singular, or its band is so wide that factors take more than `OF_BAND` products.
 
@@ -315,26 +366,10 @@ def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
     ----------
     matrix : (p, p) sparse matrix
     """
-    size = matrix.shape[0]
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    order = reverse_cuthill_mckee(sp.csr_matrix(matrix), symmetric_mode=True)
-    ordered = sp.csr_matrix(matrix)[order][:, order].tocoo()
-    width = int(np.max(abs(ordered.row - ordered.col), initial=0))
-    if size * width**2 > OF_BAND:
-        raise BackendFailed(f"lapack: factors of a band of {width} beside the diagonal of {size} take too long")
-    band = np.zeros((3 * width + 1, size), order="F")
-    band[2 * width + ordered.row - ordered.col, ordered.col] = ordered.data
-    factors, exchanges, singular = dgbtrf(band, width, width, overwrite_ab=1)
-    if singular:
-        raise BackendFailed(f"lapack: pivot {singular} is zero")
-
-    def solve(right: Vector) -> Vector:
-        found = np.empty(size)
-        found[order] = dgbtrs(factors, width, width, right[order], exchanges)[0]
-        return found
-
-    return solve
+    band, size = Band(matrix), matrix.shape[0]
+    if size * band.width**2 > OF_BAND:
+        raise BackendFailed(f"lapack: factors of a band of {band.width} beside the diagonal of {size} take too long")
+    return band.factorised(matrix)
 
 
 class PivotedSaddle:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,11 +20,22 @@ from contactqp.certificate.energy_bounds import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.equilibration import balanced, equilibrated, in_range, mostly_bare
-from contactqp.linalg.existence import FAR, refuse_sparse_conflict, refuse_sparse_drive
-from contactqp.linalg.interior_point import refuse_ray, remember, solved_from
+from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
+from contactqp.linalg.existence import (
+    DRIVEN,
+    FAR,
+    NO_PART,
+    PROJECTIONS,
+    conflict_of,
+    refuse_drive_along,
+    refuse_proven,
+    refuse_sparse_conflict,
+    refuse_sparse_drive,
+)
+from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.interior_point import remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
-from contactqp.linalg.least_norm import presses, shift_to_least_norm, with_least_forces
+from contactqp.linalg.least_norm import least_solution, presses, shift_to_least_norm, with_least_forces
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (
@@ -35,6 +47,7 @@ from contactqp.linalg.sparse_saddle import (
 )
 from contactqp.model.arrays import (
     METHOD,
+    Vector,
     all_finite,
     in_any_time,
     on_one_thread,
@@ -67,6 +80,9 @@ NEARER = 1e-11  # a backend's tolerance where its first answer settles on nothin
 # others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
 # So it is where it stops short of the answer of a program, or calls it infeasible and `refuse_ray` finds no proof.
 BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter": 50}
+# What Clarabel adds to the diagonal of its systems, 1e-8 of itself, hides rows that nearly depend on each other, as
+# differences of thousands of unknowns do: where it calls its answer almost solved it is asked again with less.
+ALMOST, OF_NEARLY_DEPENDENT = "AlmostSolved", {"static_regularization_constant": 1e-12}
 # From so many constraints on their overlap is sought by Clarabel before a linear program seeks it, in so many programs,
 # each from the displacement of the one before; it cannot tell an overlap of less than its tolerance.
 MANY_ROWS, OVERLAPS, OVERLAPPING = 10_000, 3, 1e-9
@@ -77,6 +93,8 @@ INFEASIBLE = "nfeasible"
 ENDS_PROCESSES = ("qpalm",)
 # Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
 ENOUGH = 1e-18
+# Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
+NEARLY = 1e-5
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
 
@@ -177,7 +195,7 @@ class SparseRun(Run):
             yield found
         bounded = bool(np.all(np.diff(self.problem.normal.indptr) == 1))
         bounded = bounded and (not self.problem.ties or _separate(self.problem))
-        order, steps = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None
+        order, steps, nearly_dependent = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None, False
         program = mostly_bare(self.problem)
         if not program:
             order = [other for other in order if other[2] != BALANCED_UNITS]
@@ -185,7 +203,9 @@ class SparseRun(Run):
             name, tolerance, units = order.pop(0)
             refuse_late(f"{name} began")
             tell(f"{name} finds the closed contacts")
-            options = OF_TWINS if units != OWN and name == "clarabel" else {}
+            options: dict[str, Any] = {}
+            if name == "clarabel":
+                options = (OF_TWINS if units != OWN else {}) | (OF_NEARLY_DEPENDENT if nearly_dependent else {})
             twin, scaling = self._twin, self._scaling
             if units == BALANCED_UNITS:
                 twin, scaling = balanced(self.problem)
@@ -197,7 +217,13 @@ class SparseRun(Run):
             except (BackendFailed, BackendMissing, Unsupported) as error:
                 tried.append(str(error))
             else:
-                yield found if units == OWN else scaling.unscale(found)
+                found = found if units == OWN else scaling.unscale(found)
+                if ALMOST in found.status and not nearly_dependent:
+                    nearly_dependent = True
+                    order.insert(0, (name, NEARER, units))
+                    self._waiting.append(found)
+                    continue
+                yield found
                 if BROKE_DOWN in found.status or (program and not found.claimed):
                     order.sort(key=lambda other: other[0] != name)
                     self._effort.wasted, steps = WASTED, MOST_STEPS
@@ -236,17 +262,26 @@ class SparseRun(Run):
         options = dict(self._settings.options) or (OF_TWINS if self.name == "clarabel" else {})
         units = [(self._twin, self._scaling)] + [balanced(self.problem)] * mostly_bare(self.problem)
         for twin, scaling in units:
-            refuse_late(f"{self.name} was asked for a nearer answer")
-            given = Settings(NEARER, None, self._settings.now.time_limit, None, options)
-            try:
-                found = scaling.unscale(self.method.solve(twin, given))
-            except BackendFailed:
-                continue
-            if found.claimed and all_finite(found.answer):
-                self._effort.wasted = WASTED
-                if self._settle(found).holds:
-                    self.candidate = found
-                    break
+            if self._asked(twin, scaling, options):
+                break
+
+    def _asked(self, twin: ContactProblem, scaling: Scaling | None, options: dict[str, Any]) -> bool:
+        """Return whether the backend's answer to the problem in these units, or in its own, leads to a solution."""
+        refuse_late(f"{self.name} was asked for a nearer answer")
+        given = Settings(NEARER, None, self._settings.now.time_limit, None, options)
+        try:
+            found = self.method.solve(twin, given)
+        except BackendFailed:
+            return False
+        if not found.claimed or not all_finite(found.answer):
+            return False
+        found = found if scaling is None else scaling.unscale(found)
+        spent, self._effort.wasted = self._effort.wasted, WASTED
+        if not self._settle(found).holds:
+            self._effort.wasted = spent
+            return False
+        self.candidate = found
+        return True
 
     def final(self) -> Final:
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
@@ -266,7 +301,10 @@ class SparseRun(Run):
     def _polish_in_time(self) -> None:
         """Settle the closed contacts of a backend's answer, or of a nearer one; leave it as it is when time is up."""
         try:
-            self._settle(self.candidate)
+            if ALMOST in self.candidate.status and not self._settings.max_iter:
+                self._asked(self.problem, None, OF_NEARLY_DEPENDENT | dict(self._settings.options))
+            if self._state is None:
+                self._settle(self.candidate)
             if self._state is None and not self._settings.max_iter:
                 self._ask_again()
                 if self._state is None and not self.candidate.claimed and INFEASIBLE not in self.candidate.status:
@@ -396,3 +434,63 @@ def _candidate(state: ClosedState, status: str = "") -> Candidate:
     answer = state.answer.double()
     force = answer.normal_force.clip(min=0.0)
     return Candidate(Answer(answer.displacement, force, None, answer.tie_force), status=status)
+
+
+def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
+    """Raise NoEquilibrium where an answer that a backend does not call solved is a ray that proves it.
+
+    Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements
+    along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
+    unknowns first, and the rest is formed in extended precision. `diverged` is in the units of the equilibrated twin.
+    """
+    if not all_finite(diverged):
+        return
+    twin, scaling = equilibrated(problem)
+    weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)
+    if weights is not None:
+        units = np.concatenate([scaling.contacts, scaling.ties])
+        refuse_proven(problem, conflict_of(problem, scaling.unknowns, weights / units))
+    largest = float(np.max(abs(diverged.displacement), initial=0.0))
+    if largest > 0:
+        motion = diverged.displacement / largest
+        if twin.load @ motion > DRIVEN * (abs(twin.load) @ abs(motion)) and _rests(twin, motion):
+            refuse_drive_along(problem, motion, strictly=True)
+
+
+def _rests(problem: ContactProblem, motion: Vector) -> bool:
+    """Return whether nothing resists a motion by more than a backend's tolerance could hide."""
+    felt = (abs(problem.stiffness_rows @ motion), np.maximum(problem.normal @ motion, 0.0), abs(problem.tie @ motion))
+    return all(float(np.max(part, initial=0.0)) <= NEARLY for part in felt)
+
+
+def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | None:
+    """Return weights (m + k,) near these with which the rows nearly cancel and overlap; None where they do not."""
+    limit = np.concatenate([problem.gap, problem.tie_value])
+    rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
+    weights = np.concatenate([normal, tie])
+    size = float(np.max(abs(weights), initial=0.0))
+    if not size > 0:
+        return None
+    weights = np.where(abs(weights) > NO_PART * size, weights / size, 0.0)
+    if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
+        return None
+    across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
+    for passed in range(PROJECTIONS):
+        left = (across @ extend(weights)).double()
+        taken = np.where(left > 0, bounds[0], np.where(left < 0, bounds[1], np.minimum(*bounds)))
+        part = sp.csc_matrix(sp.diags(abs(weights)) @ rows).T
+        part.eliminate_zeros()
+        entries = np.diff(part.indptr)
+        kept = np.flatnonzero((entries > 1) if passed else (taken < 0) & (entries > 0))
+        if not np.any(left[kept]):
+            break
+        try:
+            weights = weights * (1.0 - np.sign(weights) * least_solution(part[kept], left[kept]))
+        except BackendFailed:
+            return None
+    left = (across @ extend(weights)).double()
+    taken = np.where(left > 0, bounds[0], bounds[1])
+    on = np.flatnonzero((left != 0) & (taken >= 0))
+    entries = abs(problem.normal.data[problem.normal.indptr[taken[on]]])
+    np.add.at(weights, taken[on], abs(left[on]) / entries)
+    return None if np.any(weights[: problem.contacts] < 0) else weights

@@ -247,3 +247,19 @@ def test_lengths_that_underflow_have_no_vertex_in_their_units() -> None:
     problem = cq.ContactProblem(stiffness, load, normal=np.zeros((0, 5)), gap=[], tie=tie, tie_value=value)
     with pytest.raises(cq.NotCertified, match=r"tie 1 depends on other ties, and is missed by 7\.2e-07"):
         cq.solve(problem)
+
+
+@pytest.mark.parametrize("grazing", [False, True])
+def test_steps_end_where_each_contact_keeps_its_force_or_its_slack(grazing: bool) -> None:
+    """A contact whose force and gap both vanish keeps neither, so that the steps go on until both are rounding."""
+    load, gap = np.linspace(0.5, 1.5, 50), np.ones(50)
+    if grazing:
+        load[20] = gap[20]
+    problem = cq.ContactProblem(sp.identity(50, format="csr"), load, sp.identity(50, format="csr"), gap)
+    exact = Answer(np.minimum(load, gap), np.maximum(load - gap, 0.0), None, np.zeros(0))
+    near, effort = Answer(exact.displacement - 1e-6, exact.normal_force + 1e-6, None, np.zeros(0)), Effort()
+    point = interior_point.sharpened(problem, near, effort)
+    decided = load != gap
+    assert np.array_equal(point.closed[decided], (load > gap)[decided])
+    assert point.displacement == pytest.approx(exact.displacement, abs=1e-7)
+    assert (effort.factorisations > 4) is grazing

@@ -14,7 +14,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box, rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.errors import InvalidProblem, Unsupported
+from contactqp.errors import BackendFailed, InvalidProblem, Unsupported
 from contactqp.linalg import condensation, factorization, pardiso, schur
 from contactqp.linalg.condensation import condense, eliminate
 from contactqp.linalg.dense import BackSubstitution, DenseCholesky, orthonormal
@@ -471,3 +471,38 @@ def test_parts_that_pairs_join_are_those_of_scipy(pairs: int) -> None:
         one, other = random.integers(0, count, (2, pairs))
         graph = sp.coo_array((np.ones(pairs), (one, other)), shape=(count, count))
         assert joined_parts(count, one, other).tolist() == connected_components(graph, directed=False)[1].tolist()
+
+
+def test_a_narrow_band_is_factorised_by_lapack_in_an_order_that_is_kept(monkeypatch):
+    random, size = np.random.default_rng(3), schur.LARGE + 500
+    shuffled = random.permutation(size)
+    rows = sp.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size - 2, size), format="csr")[:, shuffled]
+    saddle = sp.bmat([[sp.identity(size), rows.T], [rows, -1e-9 * sp.identity(size - 2)]], format="csc")
+    order, nothing = EliminationOrder(size), []
+    monkeypatch.setattr(order, "factorised", lambda *_: nothing.append(1))
+    right = random.standard_normal(saddle.shape[0])
+    found = schur.factorised(saddle, pardiso.INDEFINITE, order, np.arange(size))(right)
+    left = right - saddle @ found
+    assert np.max(abs(left)) <= 1e-12 * np.max(abs(found))
+    first = order.band
+    other = saddle + sp.csc_matrix(sp.identity(saddle.shape[0]))
+    again = schur.factorised(other, pardiso.INDEFINITE, order, np.arange(size))(right)
+    assert order.band is first
+    assert np.max(abs(right - other @ again)) <= 1e-12 * np.max(abs(again))
+    assert not nothing
+
+
+def test_a_band_without_an_inverse_is_told_and_a_wide_matrix_is_left_to_sparse_solvers():
+    size = schur.LARGE + 500
+    singular = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(size, size), format="lil")
+    singular[7, :] = singular[:, 7] = 0.0
+    with pytest.raises(BackendFailed, match="pivot"):
+        schur.factorised(singular.tocsc(), pardiso.INDEFINITE, EliminationOrder(size), np.arange(size))
+    side = 60
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(side, side))
+    K = sp.csc_matrix(sp.kron(sp.identity(side), chain) + sp.kron(chain, sp.identity(side)))
+    order = EliminationOrder(side**2)
+    solve = schur.factorised(K, pardiso.POSITIVE_DEFINITE, order, np.arange(side**2))
+    assert order.wide
+    assert order.band is None
+    assert K @ solve(np.ones(side**2)) == pytest.approx(1.0, abs=1e-10)

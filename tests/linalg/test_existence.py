@@ -13,8 +13,8 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.linalg import existence
 from contactqp.linalg.existence import Conflict, DrivenMotion
-from contactqp.linalg.interior_point import refuse_ray
 from contactqp.model.solution import Answer
+from contactqp.solving.sparse_run import refuse_ray
 
 METHODS = ("active-set", "lemke", "daqp", "clarabel", "lagrange-multiplier")
 BAR = 157500.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])

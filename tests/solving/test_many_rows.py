@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
 from contactqp.linalg import existence
+from contactqp.solving.methods import Settings, find
 from tests.solving.test_linear_programs import transport
 
 
@@ -101,6 +103,36 @@ def test_differences_of_too_few_digits_are_given_up_in_seconds(order: int, size:
     with pytest.raises((cq.NotConverged, cq.NotCertified), match="no answer is certified"):
         cq.solve(nearest_with_differences(size, order, 0.7)[0])
     assert time.process_time() - started < 30
+
+
+def convex_fit(size: int, values: Any) -> cq.ContactProblem:
+    """The convex sequence nearest to given values: second differences of all of them are rows."""
+    rows = sp.diags([-1.0, 2.0, -1.0], [0, 1, 2], shape=(size - 2, size), format="csr")
+    return cq.ContactProblem(sp.identity(size, format="csr"), values, rows, np.zeros(size - 2))
+
+
+@pytest.mark.parametrize("size", [2000, pytest.param(5000, marks=pytest.mark.slow)])
+def test_an_almost_solved_answer_is_asked_for_again_with_less_on_the_diagonal(size: int) -> None:
+    """What Clarabel adds to the diagonal hides differences of thousands of unknowns: its answer is off by a tenth."""
+    t = np.linspace(0.0, 1.0, size)
+    problem = convex_fit(size, np.sin(6 * t) + 0.1 * np.sin(np.arange(size)))
+    first = find("clarabel").solve(problem, Settings(1e-9))
+    solution = cq.solve(problem, "clarabel")
+    u = solution.displacement
+    assert not first.claimed
+    assert np.max(abs(first.answer.displacement - u)) > 1e-3 * np.max(abs(u))
+    assert solution.certificate.proven
+    assert solution.work.factorisations <= 20  # hundreds, where contacts changed one by one from that answer
+    assert np.all(problem.normal @ u <= 1e-14)
+
+
+def test_a_convex_fit_of_concave_values_is_their_regression_line() -> None:
+    t = np.linspace(0.0, 1.0, 1000)
+    values = -((t - 0.5) ** 2) - 0.3 * t**2
+    solution = cq.solve(convex_fit(len(t), values), "clarabel")
+    assert solution.certificate.proven
+    assert np.all(solution.normal_force > 0)
+    assert solution.displacement == pytest.approx(np.polyval(np.polyfit(t, values, 1), t), abs=1e-14)
 
 
 def test_optimal_control_agrees_with_condensing() -> None:
