@@ -10,7 +10,7 @@ import numpy as np
 from contactqp.certificate.bounds import Bounds
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
@@ -182,6 +182,8 @@ def _with_unit(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
+# Rows that are a sum of others but for this part of its terms, the rounding of the weights, say nothing of their own.
+SUMMED = 16 * EPS
 # Of an answer without friction; with it `contactqp.certificate.uniqueness` says so.
 NEARLY_DEPENDENT = "ties that nearly depend on each other prescribe more than doubles tell; state them apart"
 FORCES_NOT_UNIQUE = (
@@ -225,15 +227,28 @@ def of_missed_ties(
     dependent : as in `of_dependent_ties`
     tolerance : the part of the lengths that meet at a tie which it may miss
     """
-    ties = [i for i, _ in dependent]
-    rows, value = problem.tie[ties], problem.tie_value[ties]
-    missed = abs((SparseRows(rows) @ extend(answer.displacement) - extend(value)).double())
-    meeting = abs(rows) @ abs(answer.displacement) + abs(value)
-    for i in np.flatnonzero(missed > tolerance * meeting)[:MOST_NAMED]:
+    rows = problem.tie
+    missed = abs((SparseRows(rows) @ extend(answer.displacement) - extend(problem.tie_value)).double())
+    meeting = abs(rows) @ abs(answer.displacement) + abs(problem.tie_value)
+    far = [(i, others) for i, others in dependent if missed[i] > tolerance * meeting[i]]
+    for i in [i for i, others in far if not _summed(rows, i, others)][:MOST_NAMED]:
         yield (
-            f"{problem.tie_name(ties[i])} depends on other ties, and is missed by {missed[i] / meeting[i]:.2g} of "
+            f"{problem.tie_name(i)} depends on other ties, and is missed by {missed[i] / meeting[i]:.2g} of "
             f"the lengths that meet there: {NEARLY_DEPENDENT}"
         )
+
+
+def _summed(rows: Any, tie: int, others: Indices) -> bool:
+    """Return whether a tie (row of (k, n) rows) is a sum of others to rounding of the weights, and prescribes no more.
+
+    Its figure judges it then as theirs do: how far its value is from theirs is no matter of the answer.
+    """
+    columns = np.unique(rows[[tie, *others]].indices)
+    row, basis = rows[[tie]][:, columns].toarray()[0], rows[others][:, columns].toarray()
+    if not np.all(np.isfinite(basis)) or not np.any(basis):
+        return False
+    weights = np.linalg.lstsq(basis.T, row, rcond=None)[0]
+    return bool(np.all(abs(row - basis.T @ weights) <= SUMMED * (abs(row) + abs(basis.T) @ abs(weights))))
 
 
 def of_printing(problem: ContactProblem) -> str:

@@ -273,7 +273,7 @@ class SparseRun(Run):
             found = self.method.solve(twin, given)
         except BackendFailed:
             return False
-        if not found.claimed or not all_finite(found.answer):
+        if not (found.claimed or ALMOST in found.status) or not all_finite(found.answer):
             return False
         found = found if scaling is None else scaling.unscale(found)
         spent, self._effort.wasted = self._effort.wasted, WASTED

@@ -263,3 +263,24 @@ def test_steps_end_where_each_contact_keeps_its_force_or_its_slack(grazing: bool
     assert np.array_equal(point.closed[decided], (load > gap)[decided])
     assert point.displacement == pytest.approx(exact.displacement, abs=1e-7)
     assert (effort.factorisations > 4) is grazing
+
+
+def tied_twice(hidden: float) -> cq.ContactProblem:
+    """Two unknowns that ties hold at zero, a third tie that is a sum of these but for an entry, and a contact."""
+    ties = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [3.0, -2.0, hidden, 0.0]]
+    load, stiffness = [0.0, 0.0, 3.0, 4.0], np.diag([1.0, 2.0, 3.0, 4.0])
+    return cq.ContactProblem(stiffness, load, [[0.0, 0.0, 1.0, 0.0]], [0.5], tie=ties, tie_value=np.zeros(3))
+
+
+def test_a_tie_that_is_a_sum_of_others_is_judged_as_they_are() -> None:
+    """Where they hold unknowns at zero its own lengths are rounding, of which an answer may miss all."""
+    problem = tied_twice(0.0)
+    solution = cq.solve(problem)
+    for off, passes in ((1e-17, True), (1e-6, False)):
+        u = solution.displacement + np.array([off, -2.0 * off, 0.0, 0.0])
+        certificate = cq.certify(
+            problem, displacement=u, normal_force=solution.normal_force, tie_force=solution.tie_force
+        )
+        assert certificate.passed is passes
+    with pytest.raises(cq.NotCertified, match="tie 2 depends on other ties, and is missed by 1 "):
+        cq.solve(tied_twice(1e-13))  # it holds a third unknown, which doubles hardly tell
