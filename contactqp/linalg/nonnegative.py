@@ -289,6 +289,7 @@ class Sharing:
         force = np.linalg.lstsq(rows.T, (resultant * self._unit)[self._felt], rcond=DEPENDENT_ROWS)[0]
         turned, sizes, _ = np.linalg.svd(rows)
         more = turned[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
+        more = np.where(abs(more) > DEPENDENT_ROWS, more, 0.0)  # rounding of what no sharing changes
         return (force / lengths)[: len(contacts)], (more / lengths[:, None])[: len(contacts)]
 
     def reach(self, resultant: Vector, rate: Vector) -> float:

@@ -376,6 +376,11 @@ def test_displacements_at_redundant_contacts_have_rates_by_gaps() -> None:
     beside = cq.ContactProblem(np.diag([2.0, 2.0]), [4.0, 2.0], [[1.0, 0.0]] * 2, [1.0, 1.0])
     tilted = cq.solve(beside).derivative("displacement", "rows", [[0.0, 1.0], [0.0, 1.0]])
     assert tilted.value == pytest.approx([-1.0, -1.0])  # u = (1, 1), and a force of 2 has a part of 2 e on the other
+    # Ties that repeat leave the contact its force: u = (-e, -e) / 2 for the row (-1 - e, 0) with a gap of 1/2.
+    tied = cq.ContactProblem(
+        np.eye(2), [-3.0, 1.0], [[-1.0, 0.0]], [0.5], tie=[[-1.0, 1.0], [-1.0, 1.0]], tie_value=[0.0, 0.0]
+    )
+    assert cq.solve(tied).derivative("displacement", "rows", [[-1.0, 0.0]]).value == pytest.approx([0.5, 0.5])
     # A force of 2 that both may bear, and which is gone after a load of -2 more, however they share it.
     assert twice.derivative("displacement", "load", [-1.0]).reach == pytest.approx((np.inf, 2.0))
     between = cq.solve(cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [1.0, -1.0]))
