@@ -126,6 +126,7 @@ class Bounds:
     determined: str = BY_DISPLACEMENT
     scope: str | None = None  # with friction: "global", or "local", the only equilibrium within `radius`
     radius: float | None = None
+    free: bool = False  # whether bodies may move rigidly where "local" holds
     by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
     apart: float | None = None  # |u - U|_K over |U|_K from the solution U that was found, there, if K has factors
     suspicious: str | None = None  # why no bound could be had, where that speaks against the answer

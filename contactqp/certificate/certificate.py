@@ -386,7 +386,7 @@ def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str,
         )
     if problem.rigid_change > 0:
         notes.append(messages.of_printing(problem))
-    return (*notes, *messages.of_estimates(bounds)) if bounds.estimated else tuple(notes)
+    return (*notes, *messages.of_estimates(bounds)) if bounds.estimated or bounds.free else tuple(notes)
 
 
 def _residuals_and_bounds(

@@ -193,13 +193,16 @@ def critical(problem: ContactProblem, condensation: Condensation) -> CriticalFri
     cached = problem._computed.critical_friction
     if cached is None or not np.array_equal(cached._friction, mu):
         compliance = contact_compliance(problem, condensation)
-        cached = of_operator(compliance.W, mu, problem.contacts, floats=compliance.floats)
+        floats, rounding = compliance.floats, compliance.rounding
+        cached = of_operator(compliance.W, mu, problem.contacts, floats=floats, rounding=rounding)
         problem._computed.critical_friction = cached
     found: CriticalFriction = cached
     return found
 
 
-def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True) -> CriticalFriction:
+def of_operator(
+    W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric: bool = True, rounding: float = 0.0
+) -> CriticalFriction:
     """Return `critical_friction` of a Delassus operator.
 
     Parameters
@@ -209,6 +212,7 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
     contacts : m
     floats : whether bodies float on rigid motions: then kappa is infinite, and combinations are not examined
     symmetric : whether W is symmetric; kappa is infinite where it is not
+    rounding : the relative error of W, in whose norm it is measured
     """
     m, d = contacts, len(W) // contacts
     blocks = W.reshape(m, d, m, d)
@@ -218,9 +222,9 @@ def of_operator(W: Array, mu: Vector, contacts: int, *, floats: bool, symmetric:
     coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
     single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
     kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
-    unique, examined = kappa < 1.0, KAPPA
+    unique, examined = kappa * (1 + rounding) < 1.0, KAPPA
     if not unique and d == 2 and m <= MOST_COMBINED and not floats:
-        unique, examined = _one_sign(W, mu), "determinants of all combinations of open, stick and slip"
+        unique, examined = _one_sign(W, mu, rounding), "determinants of all combinations of open, stick and slip"
     contraction = float(np.max(ratio(mu, single), initial=0.0))
     return CriticalFriction(single, contraction, kappa, unique, examined, mu)
 
@@ -289,26 +293,35 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
     return matrices.reshape(len(status), 2 * m, 2 * m)
 
 
-def regular(matrices: Array) -> Mask:
-    """Return which of the matrices (c, q, q) have a determinant that exceeds the rounding of their rows."""
+def regular(matrices: Array, rounding: float = SINGULAR) -> Mask:
+    """Return which of the matrices (c, q, q) have a determinant that exceeds a relative rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), TINY)), axis=1)
-    return np.asarray(size > lengths + np.log(SINGULAR))
+    return np.asarray(size > lengths + np.log(rounding))
 
 
-def _one_sign(W: Array, mu: Vector) -> bool:
-    """Return whether the determinants of all combinations are positive, as that of W is."""
+def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
+    """Return whether the determinants of all combinations are positive, as that of W is, whatever rounding makes of it.
+
+    A row of W may be off by `rounding` times the roots of its diagonal entry and of the largest eigenvalue.
+    """
+    diagonal = W.diagonal()[np.column_stack([mu >= 0, mu > 0]).ravel()]
+    if not (np.all(diagonal > 0) and rounding < 1):
+        return False
+    of_rows = rounding * np.sqrt(np.max(np.sum(diagonal) / diagonal, initial=1.0))
     matrices = system_matrices(W, mu, combinations(mu))
     if np.any(np.linalg.slogdet(matrices)[0] <= 0):
         return False
     # A small determinant may be that of many small eigenvalues, and its sign still be known.
-    values = np.linalg.svd(matrices[~regular(matrices)], compute_uv=False)
-    return bool(np.all(values[:, -1] > SINGULAR_SYSTEM * values[:, 0]))
+    doubtful = matrices[~regular(matrices, max(SINGULAR, len(W) * of_rows))]
+    values = np.linalg.svd(doubtful, compute_uv=False)
+    most = np.maximum(SINGULAR_SYSTEM * values[:, 0], rounding * np.sum(diagonal))
+    return bool(np.all(values[:, -1] > most))
 
 
 def felt_rows(compliance: ContactOperators) -> Mask:
     """Return the rows (m, d) that move something."""
-    return np.asarray(compliance.W.diagonal().reshape(len(compliance.scale), -1) > 0)
+    return compliance.felt
 
 
 def acting_rows(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:

@@ -98,8 +98,13 @@ def refined_lengths(
     return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
 
 
-def rigid_uncertainty(compliance: ContactCompliance, status: Status, refined: RefinedLengths, mu: Vector) -> float:
+def rigid_uncertainty(
+    compliance: ContactCompliance, status: Status, refined: RefinedLengths, mu: Vector
+) -> tuple[float, bool]:
     """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies.
+
+    Return also whether motions are left that nothing resists. The bound is infinite where contacts slip along these:
+    whether friction balances the load there is decided by rounding.
 
     Parameters
     ----------
@@ -112,7 +117,12 @@ def rigid_uncertainty(compliance: ContactCompliance, status: Status, refined: Re
     moved = moved.reshape(len(mu), -1, moved.shape[1])
     held = np.vstack([moved[closed, 0], moved[sticks, 1:].reshape(-1, moved.shape[2]), tied])
     missed = np.concatenate([refined.gap[closed], refined.slip[sticks].ravel()])
-    return float(np.linalg.norm(np.linalg.pinv(held)) * np.linalg.norm(missed))
+    _, size, motions = np.linalg.svd(held)
+    count = int(np.sum(size > HARDLY_MOVED))
+    free = motions[count:].T
+    if np.any(abs(moved[closed & ~sticks & (mu > 0), 1:] @ free) > NOT_MOVED):
+        return np.inf, True
+    return float(np.linalg.norm(missed) / np.min(size[:count], initial=np.inf)), free.shape[1] > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,9 +151,10 @@ class ForceNorms:
             factor = np.linalg.cholesky(operator)
         except np.linalg.LinAlgError:
             return None
-        pivots = np.diag(factor) ** 2 / np.diag(operator)
+        size = np.concatenate([compliance.size[rows], np.diag(operator)[len(rows) :]])
+        pivots = np.diag(factor) ** 2 / size
         rounding = max(lost_digits, len(pivots) * EPS)
-        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+        allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0)) + compliance.rounding
         half = inverse_of_lower(factor)
         if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
             return None
@@ -162,6 +173,27 @@ class ForceNorms:
             more * np.sqrt(largest_eigenvalues(response_of[:, 1:, 1:])),
             allowance,
         )
+
+
+def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
+    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have."""
+    closed, frictional = status != OPEN, mu > 0
+    sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
+    room = over(mu * refined.normal - lengths(refined.friction), mu * norms.normal_force + norms.tangential_force)
+    along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
+    found = np.where(closed, over(refined.normal, norms.normal_force), over(refined.gap, norms.gap))
+    found = np.where(sticks, np.minimum(found, room), found)
+    return np.asarray(np.where(slides, np.minimum(found, over(along, norms.slip)), found))
+
+
+def least_margin(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> float:
+    """Return the least of the distances at which a contact can be in another state."""
+    return float(np.min(margins_of(refined, norms, status, mu), initial=np.inf))
+
+
+def over(size: Vector, norm: Vector) -> Vector:
+    """Return size / norm, infinite where nothing changes the size."""
+    return np.divide(size, norm, out=np.full_like(size, np.inf), where=norm > 0)
 
 
 def largest_eigenvalues(blocks: Array) -> Vector:
@@ -192,7 +224,7 @@ def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tu
     """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
     if problem.contacts > MOST_CONTACTS:
         return None, np.inf
-    norms = ForceNorms.of(compliance, 0.0, felt_rows(compliance))
+    norms = ForceNorms.of(compliance, 0.0, rows_with_friction(compliance, problem.friction))
     if norms is None:
         return None, np.inf
     kappa = of_operator(compliance.W, problem.friction, problem.contacts, floats=False).kappa
@@ -313,7 +345,7 @@ def balanced_forces(
     """
     W, V, motions = _rigid_lengths(compliance)
     m, n = len(mu), len(W)
-    acting = _with_friction(compliance, mu)
+    acting = rows_with_friction(compliance, mu)
     rows = np.flatnonzero(acting)
     if (U := _in_balance(V[rows])) is None:
         return None
@@ -321,7 +353,7 @@ def balanced_forces(
     carried, left = _carried(V, held)
     free = abs(left).max(axis=1, initial=0.0).reshape(m, -1) > NOT_MOVED
     basis = np.linalg.qr(U, mode="complete")[0][:, U.shape[1] :]  # of forces that balance
-    factored = _half_inverse(basis, W[np.ix_(rows, rows)], lost_digits)
+    factored = _half_inverse(basis, W[np.ix_(rows, rows)], compliance.size[rows], lost_digits, compliance.rounding)
     if np.any(free[:, 1:] & (mu > 0)[:, None]) or factored is None:
         return None
     force, allowance = np.zeros((n, basis.shape[1])), factored[1]
@@ -359,7 +391,7 @@ def part_that_is_seen(
         return 1.0
     compliance = contact_compliance(problem, condensation)
     _, V, _ = _rigid_lengths(compliance)
-    rows = np.flatnonzero(_with_friction(compliance, mu))
+    rows = np.flatnonzero(rows_with_friction(compliance, mu))
     U = _in_balance(V[rows])
     held = rows[:0] if U is None else _settled_by_balance(U, rows, mu, refined)
     basis, Z = compliance.that_keep(held), orthonormal_motions(condensation)
@@ -384,9 +416,9 @@ def _rigid_lengths(compliance: ContactOperators) -> tuple[Array, Array, int]:
     return (W + W.T) / 2, V[:, ~held], int(np.linalg.matrix_rank(vectors[compliance.ties :, ~held], NOT_MOVED))
 
 
-def _with_friction(compliance: ContactOperators, mu: Vector) -> Mask:
+def rows_with_friction(compliance: ContactOperators, mu: Vector) -> Mask:
     """Return the rows (m, d) that move something and on which a force may act."""
-    rows = felt_rows(compliance)
+    rows = compliance.felt
     rows[:, 1:] &= (mu > 0)[:, None]
     return rows
 
@@ -435,15 +467,24 @@ def _carried(V: Array, held: Indices) -> tuple[Array, Array]:
     return V @ (motions[:rank].T / size[:rank]) @ turned[:, :rank].T, V @ motions[rank:].T
 
 
-def _half_inverse(basis: Array, W: Array, lost_digits: float) -> tuple[Array, float] | None:
-    """Return X with X'B'W B X = 1 for a basis B, and the relative error of its squares; None where that is large."""
+def _half_inverse(
+    basis: Array, W: Array, size: Vector, lost_digits: float, of_stiffness: float
+) -> tuple[Array, float] | None:
+    """Return X with X'B'W B X = 1 for a basis B, and the relative error of its squares; None where that is large.
+
+    Parameters
+    ----------
+    basis, W : B (p, q) and W (p, p)
+    size : (p,) the diagonal that W had before joints were eliminated
+    lost_digits, of_stiffness : by which W is rounded, relative to `size`, and d'W d by rounding of the stiffness
+    """
     energy = basis.T @ W @ basis
     try:
         factor = np.linalg.cholesky(energy)
     except np.linalg.LinAlgError:
         return None
-    pivots = factor.diagonal() ** 2 / (basis.T**2 @ W.diagonal())
+    pivots = factor.diagonal() ** 2 / (basis.T**2 @ size)
     rounding = max(lost_digits, len(W) * EPS)
-    allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0))
+    allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0)) + of_stiffness
     half = inverse_of_lower(factor).T
     return (half, allowance) if allowance <= TOO_ROUNDED and np.all(np.isfinite(half)) else None

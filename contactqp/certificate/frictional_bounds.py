@@ -57,8 +57,10 @@ As S_jj <= K_jj, |v|_M is at most the norm of v'Kv + sum K_jj v_j^2, in which
 `radius` is then stated, smaller by what that does not see of unknowns without stiffness (`part_that_is_seen`).
 
 Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
-and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors. It is an a-posteriori
-estimate, not an interval enclosure.
+and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors, and by what rounding of
+a soft stiffness makes of W itself (`contactqp.linalg.delassus`). It is an a-posteriori estimate, not an interval
+enclosure. Where bodies may move rigidly and nothing resists, "local" holds but for that; where contacts slip along such
+a motion rounding would decide whether friction balances the load, and nothing is claimed.
 """
 
 from __future__ import annotations
@@ -67,9 +69,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds
+from contactqp.certificate.bounds import NEXT_TO_NOTHING, Bounds, no_bounds, relative_error
 from contactqp.certificate.coulomb_law import onto_discs
 from contactqp.certificate.critical_friction import (
+    KAPPA,
     MOST_UNKNOWNS,
     WITHOUT_STIFFNESS,
     SlipsNearby,
@@ -87,12 +90,16 @@ from contactqp.certificate.force_norms import (
     RefinedLengths,
     balanced_forces,
     eliminated,
+    least_margin,
+    margins_of,
     norms_of_all_rows,
     norms_of_skew,
+    over,
     part_that_is_seen,
     refined_lengths,
     refined_local_lengths,
     rigid_uncertainty,
+    rows_with_friction,
 )
 from contactqp.certificate.state_bodies import Compared
 from contactqp.linalg.condensation import Condensation
@@ -105,7 +112,7 @@ from contactqp.linalg.delassus import (
 from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
 from contactqp.model.arrays import EPS, Array, Mask, Vector
-from contactqp.model.coulomb import OPEN, STICK, Status
+from contactqp.model.coulomb import OPEN, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
@@ -120,6 +127,7 @@ FLOATS = "a body is held by contacts alone"
 AT_BORDER, FAR_ENOUGH = 1e-9, 4.0
 ROWS_DEPEND = "contact rows depend on one another, or nearly: compliance has no inverse"
 NO_MARGIN = "a contact is within rounding of another state"
+SLIDES_FREELY = "contacts slip along a motion that nothing else resists: rounding decides whether friction balances it"
 
 
 def frictional_bounds(
@@ -146,19 +154,19 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
     refined = refined_lengths(problem, condensation, compared, compliance)
     if refined is None:
         return "its refined answer leaves ties unmet"
-    kappa = np.inf
+    kappa, mu = np.inf, _coefficient(problem, compared)
     if others is None and not compliance.floats:
-        norms = ForceNorms.of(compliance, condensation.lost_digits, felt_rows(compliance))
+        norms = ForceNorms.of(compliance, condensation.lost_digits, rows_with_friction(compliance, mu))
         if norms is not None:
             kappa = critical(problem, condensation).kappa * (1 + norms.allowance)
         if norms is not None and kappa < 1:
-            error = _distance(refined, norms, compared.status, _coefficient(problem, compared), kappa)
+            error = _distance(refined, norms, compared.status, mu, kappa)
             return _bounds(problem, answer, compared, norms, compliance, error)
     elif others is None:
-        balanced = balanced_forces(compliance, _coefficient(problem, compared), refined, condensation.lost_digits)
+        balanced = balanced_forces(compliance, mu, refined, condensation.lost_digits)
         if balanced is not None and (found := _balanced_distance(problem, compared, refined, balanced)) is not None:
             return _bounds(problem, answer, compared, balanced.norms, compliance, found)
-    unique = others is None and critical(problem, condensation).unique
+    unique = others is None and (of_all := critical(problem, condensation)).unique and of_all.examined != KAPPA
     others = others or (FLOATS if compliance.floats else f"kappa = {kappa:.3g}")
     nearby = _proven_nearby(problem, condensation, answer, compared, refined, others)
     return nearby if isinstance(nearby, str) or not unique else replace(nearby, scope=GLOBALLY, radius=None)
@@ -178,7 +186,7 @@ def _balanced_distance(
     closed = refined.normal > error * norms.normal_force
     room = mu * refined.normal - lengths(refined.friction)
     sticks = closed & (room > error * (mu * norms.normal_force + norms.tangential_force))
-    exists = balanced.always or _margin(refined, norms, compared.status, mu) > error
+    exists = balanced.always or least_margin(refined, norms, compared.status, mu) > error
     return error if exists and balanced.settled_by(closed, sticks) else None
 
 
@@ -202,20 +210,24 @@ def _proven_nearby(
     if norms is None:
         return ROWS_DEPEND
     others = f"other equilibria are not excluded ({others})"
-    uncertain, apart, seen = refined.correction, 0.0, 1.0
+    uncertain, apart, seen, free = refined.correction, 0.0, 1.0, False
     if compliance.floats:
         if not (seen := part_that_is_seen(problem, condensation, mu, refined)):
             return WITHOUT_STIFFNESS
-        uncertain += rigid_uncertainty(compliance, compared.status, refined, mu)
+        more, free = rigid_uncertainty(compliance, compared.status, refined, mu)
+        if not np.isfinite(more):
+            return f"{others}, and {SLIDES_FREELY}"
+        uncertain += more
         moved = (extend(answer.displacement) - compared.refined.displacement).double()
         apart = float(np.sqrt(problem.diagonal @ moved**2))
-    margin = _margin(refined, norms, compared.status, mu) - uncertain
+    margin = least_margin(refined, norms, compared.status, mu) - uncertain
     slips = slips_nearby(compliance, compared.status, mu)
     near = _nearest(slips, refined, norms, 2 * compared.last + uncertain, margin)
     if isinstance(near, float):
         return f"{others}, nor others nearby ({near:.3g})"
     error, reach = near[0], near[1] * float(np.sqrt(seen))
-    around = max(float(np.hypot(compared.displacement, apart)), compared.force) + error
+    pushed = compared.force * (1 + norms.allowance)
+    around = max(float(np.hypot(compared.displacement, apart)), pushed) + error
     radius = reach - around
     if not radius > around:
         at = (
@@ -226,7 +238,8 @@ def _proven_nearby(
         if at is None:
             return f"{others}, and {NO_MARGIN}"
         norms, error, radius = at
-    return replace(_bounds(problem, answer, compared, norms, compliance, error), scope=LOCALLY, radius=radius)
+    found = _bounds(problem, answer, compared, norms, compliance, error)
+    return replace(found, scope=LOCALLY, radius=radius, free=free)
 
 
 def _nearest(
@@ -278,7 +291,7 @@ def _at_borders(
     norms = ForceNorms.of(compliance, lost_digits, rows)
     if norms is None:
         return None
-    margins = _margins(refined, norms, status, mu)
+    margins = margins_of(refined, norms, status, mu)
     border = margins <= FAR_ENOUGH * around + AT_BORDER * float(np.max(margins[np.isfinite(margins)], initial=0.0))
     law = border | ((abs(status) == 1) & (mu > 0) & (refined.slip.shape[1] > 1))
     found = eliminated(compliance, status, mu, law) if border.any() else None
@@ -286,12 +299,13 @@ def _at_borders(
     if found is None or norms is None:
         return None
     none = np.zeros((len(found.W), 0))
-    half = ContactOperators((found.W + found.W.T) / 2, none, none[:0], compliance.scale[law], 0)
-    own, kappa = norms_of_skew(half, found.W, mu[law], lost_digits * found.growth)
+    rounding = max(lost_digits, compliance.rounding) * found.growth
+    half = ContactOperators((found.W + found.W.T) / 2, none, none[:0], compliance.scale[law], 0, found.W.diagonal())
+    own, kappa = norms_of_skew(half, found.W, mu[law], rounding)
     if own is None or not kappa < 1:
         return None
     error = _error_at_borders(compliance.W, (norms, own), refined, found, (status, mu, law), kappa)
-    margin = float(np.min(_margins(refined, norms, status, mu)[~border], initial=np.inf)) - refined.correction
+    margin = float(np.min(margins_of(refined, norms, status, mu)[~border], initial=np.inf)) - refined.correction
     radius = margin - around - error
     return (norms, error, radius) if radius > around + error else None
 
@@ -328,7 +342,7 @@ def _error_at_borders(
     size, kept = abs(W), np.arange(m * d).reshape(m, d)[at].ravel()
     changed = found.inverse @ (missed[found.held] + size[found.held] @ off.ravel())
     moved = (found.response @ changed + size[kept] @ off.ravel()).reshape(-1, d) + uncertain[at]
-    parts = _over(moved[:, 0], own.gap), _over(lengths(moved[:, 1:]), own.slip)
+    parts = over(moved[:, 0], own.gap), over(lengths(moved[:, 1:]), own.slip)
     there = (refined.normal[at], refined.friction[at], refined.gap[at], refined.slip[at])
     distance = _distance(RefinedLengths(*there, float(np.max(parts))), own, status[at], mu[at], kappa)
     factor = inverse_of_lower(np.linalg.cholesky((found.W + found.W.T) / 2))
@@ -384,27 +398,6 @@ def _distance(
     return float((b + np.sqrt(b * b + 4 * room * c)) / (2 * room) + more)
 
 
-def _margins(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
-    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have."""
-    closed, frictional = status != OPEN, mu > 0
-    sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
-    room = _over(mu * refined.normal - lengths(refined.friction), mu * norms.normal_force + norms.tangential_force)
-    along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
-    found = np.where(closed, _over(refined.normal, norms.normal_force), _over(refined.gap, norms.gap))
-    found = np.where(sticks, np.minimum(found, room), found)
-    return np.asarray(np.where(slides, np.minimum(found, _over(along, norms.slip)), found))
-
-
-def _margin(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> float:
-    """Return the least of the distances at which a contact can be in another state."""
-    return float(np.min(_margins(refined, norms, status, mu), initial=np.inf))
-
-
-def _over(size: Vector, norm: Vector) -> Vector:
-    """Return size / norm, infinite where nothing changes the size."""
-    return np.divide(size, norm, out=np.full_like(size, np.inf), where=norm > 0)
-
-
 def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:
     assert problem.friction is not None
     return np.where(compared.frictional, problem.friction, 0.0)
@@ -419,12 +412,14 @@ def _bounds(
     distance: float,
 ) -> Bounds:
     """Return the bounds of an answer from the distance of its combination's refined answer."""
-    found, m = compared.refined, problem.contacts
-    moved, pushed = compared.displacement + distance, compared.force + distance
-    strain, size = compared.strain - distance, compared.size - distance
-    larger = max(strain, size)
-    # Where nothing is strained, or no contact pushes, that error is absolute.
-    strain, size = (part if part > NEXT_TO_NOTHING * larger else 0.0 for part in (strain, size))
+    found, m, more = compared.refined, problem.contacts, norms.allowance
+    moved, pushed = compared.displacement + distance, compared.force * (1 + more) + distance
+    # Where nothing is strained, or no contact pushes, that error is absolute; where either may, it is not known.
+    least = NEXT_TO_NOTHING * max(compared.strain, compared.size)
+    strain, size = (part if part > least else 0.0 for part in (compared.strain, compared.size))
+    known = distance <= least
+    energy_error = relative_error(moved, strain, distance + compared.unsure) if strain or known else np.inf
+    force_error = relative_error(pushed, size, distance + more * size) if size or known else np.inf
     given = np.zeros(len(found.friction_force.hi)) if answer.friction_force is None else answer.friction_force.ravel()
     apart_in_friction = (extend(given) - found.friction_force).double().reshape(m, -1)
     apart_in_friction = np.where(compared.frictional[:, None], apart_in_friction, 0.0)
@@ -432,12 +427,12 @@ def _bounds(
     bound = lengths(apart) + distance * norms.force / compliance.scale
     own = np.sqrt(own_compliance(problem, problem.normal))
     return Bounds(
-        energy_error=moved / (strain or 1.0),
-        force_error=pushed / (size or 1.0),
+        energy_error=energy_error,
+        force_error=force_error,
         force_bound=bound,
         relative_force_bound=bound * own / (size or strain or 1.0),
-        energy_scale=strain and compared.strain,
-        force_scale=size and compared.size,
+        energy_scale=strain,
+        force_scale=size,
         scope=GLOBALLY,
     )
 
@@ -467,7 +462,8 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     W, n, mu = problem.scaled_delassus.toarray(), len(problem.offset), problem.friction
     sign = np.tile(np.r_[1.0, -np.ones(problem.dimension - 1)], problem.contacts)
     W = W * np.outer(sign, sign)  # r_T = -l_T, and slips nearby depend on the sign of what couples them to r_N
-    compliance = ContactOperators((W + W.T) / 2, np.zeros((n, 0)), np.zeros((0, 0)), 1 / problem.contact_scale, 0)
+    none, scale = np.zeros((n, 0)), 1 / problem.contact_scale
+    compliance = ContactOperators((W + W.T) / 2, none, none[:0], scale, 0, W.diagonal())
     found = refined_forces(problem, force, status)
     if found is None:
         return "no answer of its own states is near whose forces are unique"
@@ -484,7 +480,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         if norms is None:
             return ROWS_DEPEND
         slips = slips_nearby(compliance, status, mu, W if skew else None)
-        left, margin = 2 * last + refined.correction, _margin(refined, norms, status, mu) - refined.correction
+        left, margin = 2 * last + refined.correction, least_margin(refined, norms, status, mu) - refined.correction
         near = _nearest(slips, refined, norms, left, margin)
         if isinstance(near, float):
             return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({near:.3g})"
@@ -495,6 +491,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
             if at is None:
                 return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
             norms, error, radius = at
-    least_size = size - error if size > error else 1.0
     off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
-    return LocalBounds((apart + error) / least_size, off + error * norms.force / compliance.scale, scope, radius)
+    return LocalBounds(
+        relative_error(apart + error, size, error), off + error * norms.force / compliance.scale, scope, radius
+    )

@@ -276,10 +276,12 @@ def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...
     )
 
 
-def of_estimates(bounds: Bounds) -> tuple[str, ...]:
-    """Return the note that errors are estimated and not proven."""
-    text = "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
-    return (text,) if bounds.estimated else ()
+def of_estimates(bounds: Bounds) -> Iterator[str]:
+    """Yield the notes that errors are estimated and not proven, or proven but for motions that nothing resists."""
+    if bounds.estimated:
+        yield "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
+    if bounds.free:
+        yield "friction: equilibria nearby may differ by rigid motions that nothing resists, not in strain or forces"
 
 
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ from contactqp.certificate.state_bodies import (
 )
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import condensed_frictional_rows, contact_compliance
+from contactqp.linalg.delassus import HELD, condensed_frictional_rows, contact_compliance
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
@@ -83,8 +83,6 @@ UNSETTLED = (
     "system of that is singular to working precision"
 )
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
-# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
-HELD = 1e-13
 # Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
 MOST_OPERATIONS = 2e11
 
@@ -99,6 +97,7 @@ class _Distance:
     worst: int  # the contact whose force is farthest away
     failing: float  # what signs that fail may change
     size: float  # of the forces of the combination, |l_c|_W
+    rounding: float  # by which the distance of the displacements may be rounded
     forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
 
     def relative(self, nothing: float) -> dict[str, float]:
@@ -295,7 +294,7 @@ class _Comparison:
             if not refined.regular:
                 return None, SINGULAR
             moved, _ = energy_norm(self._problem, refined.last.displacement)
-            strain, _ = energy_norm(self._problem, refined.displacement)
+            strain, unsure = energy_norm(self._problem, refined.displacement)
             reached = refined.displacement.double()
             signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
             distance = self._distance(refined, signs, strain)
@@ -305,16 +304,19 @@ class _Comparison:
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
                 self.redundant, self.displacement = refined.redundant, reached
-                self.compared = self._beside(refined, status, distance, last)
+                self.compared = self._beside(refined, status, distance, last, unsure)
                 return distance, None
             status = signs.changed(status)
             if status.tobytes() in seen:
                 return None, None
         return None, None
 
-    def _beside(self, refined: RefinedState, status: Status, distance: _Distance, last: float) -> Compared:
+    def _beside(
+        self, refined: RefinedState, status: Status, distance: _Distance, last: float, unsure: float
+    ) -> Compared:
         (moved, strain), (pushed, _) = distance.displacement, distance.force
-        return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size)
+        moved += distance.rounding
+        return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size, unsure)
 
     def _last_correction(self, refined: RefinedState, moved: float) -> float:
         """Return the size of the last correction, whose displacement has the energy norm `moved` [root of energy]."""
@@ -361,8 +363,9 @@ class _Comparison:
         problem, answer = self._problem, self._answer
         push, other = refined.normal_force.double(), refined.friction_force.double().reshape(-1, self._width)
         normal = (extend(answer.normal_force) - refined.normal_force).double()
-        apart, _ = energy_norm(problem, extend(answer.displacement) - refined.displacement)
-        dragged = np.where(self._frictional[:, None] & self._felt, self.friction - other, 0.0)
+        apart, rounding = energy_norm(problem, extend(answer.displacement) - refined.displacement)
+        apart_in_friction = (extend(self.friction.ravel()) - refined.friction_force).double().reshape(other.shape)
+        dragged = np.where(self._frictional[:, None] & self._felt, apart_in_friction, 0.0)
         of_forces, change = self._bodies.response_norm(push, other), self._bodies.response_norm(normal, dragged)
         own_size = max(force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel()))
         # Forces along a rigid motion have no response: what is left of one is the root of a rounding.
@@ -387,6 +390,7 @@ class _Comparison:
             worst,
             signs.failing,
             of_forces,
+            rounding,
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
 

@@ -218,11 +218,12 @@ class Compared:
     refined: RefinedState
     status: Status
     frictional: Mask  # (m,) contacts that friction acts on
-    displacement: float  # |u - u_c|_K
+    displacement: float  # |u - u_c|_K at most
     force: float  # |l - l_c|_W
     last: float  # of the last correction of the refinement
     strain: float  # |u_c|_K
     size: float  # |l_c|_W
+    unsure: float  # by which rounding may change |u_c|_K
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ A] become R_i D / r_i, their forces l_i r_i, their lengths (gaps, slips) g_i / r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -35,16 +36,20 @@ import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import REGULAR, DenseCholesky, orthonormal_motions
-from contactqp.linalg.extended import Extended, SparseRows, extend
+from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
 # Joints whose smallest singular value is less than this part of the largest leave a body floating.
 FLOATING = 1e-9
+# Rounding of the stiffness that is told by residuals, where they are no more numbers than this.
+MUCH, MOST_MEASURED = 1e-6, 2_000_000
+# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
+HELD = 1e-13
 # Sweeps of refinement at most, and the part of the forces that a last one may change.
 SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
 
@@ -58,6 +63,17 @@ class ContactOperators:
     J: Array  # (q, q)
     scale: Vector  # (m,) that rows and lengths are divided by, and forces multiplied by
     ties: int  # the joints that are ties; the others are rigid motions
+    size: Vector  # (d m,) the diagonal that W had before joints were eliminated, whose rounding W has
+
+    @property
+    def rounding(self) -> float:
+        """Return the relative error of the energies d'W d by rounding of the stiffness, 0 where W is given."""
+        return 0.0
+
+    @property
+    def felt(self) -> Mask:
+        """Return the rows (m, d) that move something: ties hold those of which rounding alone is left."""
+        return np.asarray(self.W.diagonal() > HELD * self.size).reshape(len(self.scale), -1)
 
     @property
     def floats(self) -> bool:
@@ -82,6 +98,27 @@ class ContactCompliance(ContactOperators):
     _factor: DenseCholesky | None
     _elimination: Array  # (d m, k + z - q): what eliminated joints take to the contacts
     _unknown_scale: Vector
+    _lost: float  # the error of M relative to its diagonal
+    _grown: float  # by how much eliminating joints makes rounding grow
+    _measured: Callable[[], float]  # `_measured_rounding`
+
+    @cached_property
+    def rounding(self) -> float:
+        """The relative error of the energies d'W d by rounding of M, beside which a soft motion may be as small.
+
+        W = R M^-1 R' changes by x'E x for x = M^-1 R'd where M changes by E, and |x|^2 <= |M^-1| d'W d. Where that is
+        much, as of slender bodies, the responses are put into the full equations, which as a rule tell less.
+        """
+        from scipy.linalg.lapack import dpocon
+
+        inverse = 0.0
+        if self._factor is not None:
+            part = dpocon(self._factor.lower, 1.0, uplo="L")[0] if self._factor.smallest_pivot > 0 else 0.0
+            inverse = 1.0 / part if part > 0 else np.inf
+        changed = self.W.diagonal()[self.felt.ravel()]
+        grown = np.max(self.size[self.felt.ravel()] / changed, initial=1.0)
+        bound = float(self._lost * inverse + EPS * self._grown * grown)
+        return bound if bound <= MUCH or self._joints.size else min(bound, self._measured())
 
     def on_rigid_motions(self) -> tuple[Array, Array]:
         """Return R Z (d m, r) and A Z (k, r): how far contact rows and ties move with the rigid motions."""
@@ -139,12 +176,45 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     G = (G + G.T) / 2
     n = len(R)
     W, V, J = G[:n, :n], G[:n, n:], G[n:, n:] - np.diag(np.r_[np.zeros(len(tie)), np.ones(Z.shape[1])])
-    elimination = np.zeros((n, 0))
+    elimination, before, grown = np.zeros((n, 0)), W.diagonal(), 0.0
     if len(J) and (inverse := _regular_inverse(J, len(tie))) is not None:
-        elimination = V @ inverse
+        elimination, grown = V @ inverse, float(np.linalg.norm(inverse, 2) * np.linalg.norm(J, 2))
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
-    return ContactCompliance(W, V, J, size, len(tie) if len(J) else 0, R, C, factor, elimination, scale)
+    lost = max(condensation.lost_digits, len(scale) * EPS)
+    ties = len(tie) if len(J) else 0
+
+    def measured() -> float:
+        return _measured_rounding(problem, condensation, made)
+
+    made = ContactCompliance(W, V, J, size, ties, before, R, C, factor, elimination, scale, lost, grown, measured)
+    return made
+
+
+def _measured_rounding(problem: ContactProblem, condensation: Condensation, made: ContactCompliance) -> float:
+    """Return the relative error of d'W d that the residuals of the responses u tell, infinite where they are too many.
+
+    Of rows E and the residuals r = E' - K u the compliance is E u + u'r but for the energy of r, of second order.
+    """
+    m, felt = problem.contacts, made.felt.ravel()
+    width = len(made.W) // m
+    if problem.dimension * len(made.W) > MOST_MEASURED or problem.tangent is None:
+        return np.inf
+    order = np.column_stack([np.arange(m), m + np.arange((width - 1) * m).reshape(m, -1)]).ravel()[felt]
+    E = sp.vstack([problem.normal, problem.tangent], format="csr")[order]
+    size, rows, stiffness = made.scale.repeat(width)[felt], SparseRows(E), extended_rows(problem).stiffness
+    _, inner = condensation.reduce_residual(np.zeros(problem.dimension))
+    responses = made._solve(made._rows[felt].T).T * made._unknown_scale
+    u = np.array([condensation.expand(one, inner) for one in responses]) * size[:, None]
+    W, change = made.W[np.ix_(felt, felt)], np.zeros((len(E.indptr) - 1,) * 2)
+    for k, one in enumerate(u):
+        left = extend(E[[k]].toarray()[0]) - stiffness @ extend(one)
+        change[k] = (rows @ extend(one) - W[k] * size[k] * size).double() + u @ left.double()
+    values, vectors = np.linalg.eigh(W)
+    if not values[0] > 0:
+        return np.inf
+    half = vectors / np.sqrt(values) / size[:, None]
+    return float(2 * np.linalg.norm(half.T @ change @ half, 2))
 
 
 def _regular_inverse(J: Array, ties: int) -> Array | None:

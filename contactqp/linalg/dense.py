@@ -73,7 +73,7 @@ class DenseCholesky:
         scaled = matrix * (self._scale[:, None] * self._scale)
         factor = lower_factor(scaled)
         if factor is not None:
-            self._factor = factor
+            self.lower = factor
             self.smallest_pivot = float((factor.diagonal() ** 2).min(initial=np.inf)) if len(factor) else 1.0
             return
         lift = float(LIFT * len(scaled))
@@ -85,12 +85,12 @@ class DenseCholesky:
             self.smallest_pivot = min(float(eigvalsh(scaled)[0]), 0.0)
             lift = max(2 * -self.smallest_pivot, lift)
             lifted = cholesky(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
-        self._factor = lifted
+        self.lower = lifted
 
     def solve(self, right: Array) -> Array:
         if not right.size:
             return np.zeros(right.shape)
-        return np.asarray((lapack().dpotrs(self._factor, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
+        return np.asarray((lapack().dpotrs(self.lower, (right.T * self._scale).T, lower=True)[0].T * self._scale).T)
 
 
 def dense_factor(matrix: Any) -> DenseCholesky:

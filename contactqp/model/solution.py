@@ -131,7 +131,9 @@ class Certificate(ReadOnly, Printed):
     `scope` says of what `proven` holds. "global": the bounds hold for every equilibrium, so always without friction,
     and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
     "local": of the only equilibrium whose displacement is within `radius` of this one, in the energy norm, or, where
-    contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. With friction
+    contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. Where nothing
+    resists a rigid motion it is the only one but for that motion, which changes no strain and no force; a note says so.
+    Either error is infinite where the strain, or the contact forces, of the equilibrium may vanish. With friction
     `force_bound` is that of a contact's whole force, in all directions but tangents whose unknowns are all supported:
     friction along these moves nothing, any within the cone would do, and a note says so where contacts stick.
 

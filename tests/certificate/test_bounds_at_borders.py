@@ -133,7 +133,8 @@ def test_what_is_eliminated_keeps_its_state(d: int) -> None:
     """Of forces on the remaining contacts, those that stick move nowhere, and what slips is dragged by what presses."""
     rng = np.random.default_rng(d)
     shape = rng.normal(size=(4 * d, 4 * d))
-    operators = ContactOperators(shape @ shape.T + np.eye(4 * d), np.zeros((4 * d, 0)), np.zeros((0, 0)), np.ones(4), 0)
+    W, none = shape @ shape.T + np.eye(4 * d), np.zeros((4 * d, 0))
+    operators = ContactOperators(W, none, none[:0], np.ones(4), 0, W.diagonal())
     status = np.array([STICK, OPEN, SLIP_BACK if d == 2 else STICK, SLIP_ON], dtype=np.int8)
     law = np.array([False, False, False, True])
     mu = np.full(4, 0.3)
