@@ -314,6 +314,15 @@ class _Comparison:
     def _beside(
         self, refined: RefinedState, status: Status, distance: _Distance, last: float, unsure: float
     ) -> Compared:
+        """Return what an answer was compared with, and how near it is.
+
+        Parameters
+        ----------
+        refined, status : the refined answer of a combination, and its states
+        distance : of the answer from it
+        last : size of the last correction of the refinement
+        unsure : by which rounding may change its energy norm
+        """
         (moved, strain), (pushed, _) = distance.displacement, distance.force
         moved += distance.rounding
         return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size, unsure)
