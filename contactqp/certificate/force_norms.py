@@ -176,7 +176,13 @@ class ForceNorms:
 
 
 def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
-    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have."""
+    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have.
+
+    Parameters
+    ----------
+    refined, norms : the refined answer and the norms of differences of forces
+    status, mu : states and coefficients (m,)
+    """
     closed, frictional = status != OPEN, mu > 0
     sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
     room = over(mu * refined.normal - lengths(refined.friction), mu * norms.normal_force + norms.tangential_force)
@@ -184,11 +190,6 @@ def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: V
     found = np.where(closed, over(refined.normal, norms.normal_force), over(refined.gap, norms.gap))
     found = np.where(sticks, np.minimum(found, room), found)
     return np.asarray(np.where(slides, np.minimum(found, over(along, norms.slip)), found))
-
-
-def least_margin(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> float:
-    """Return the least of the distances at which a contact can be in another state."""
-    return float(np.min(margins_of(refined, norms, status, mu), initial=np.inf))
 
 
 def over(size: Vector, norm: Vector) -> Vector:

@@ -90,7 +90,6 @@ from contactqp.certificate.force_norms import (
     RefinedLengths,
     balanced_forces,
     eliminated,
-    least_margin,
     margins_of,
     norms_of_all_rows,
     norms_of_skew,
@@ -186,7 +185,7 @@ def _balanced_distance(
     closed = refined.normal > error * norms.normal_force
     room = mu * refined.normal - lengths(refined.friction)
     sticks = closed & (room > error * (mu * norms.normal_force + norms.tangential_force))
-    exists = balanced.always or least_margin(refined, norms, compared.status, mu) > error
+    exists = balanced.always or np.all(margins_of(refined, norms, compared.status, mu) > error)
     return error if exists and balanced.settled_by(closed, sticks) else None
 
 
@@ -220,7 +219,7 @@ def _proven_nearby(
         uncertain += more
         moved = (extend(answer.displacement) - compared.refined.displacement).double()
         apart = float(np.sqrt(problem.diagonal @ moved**2))
-    margin = least_margin(refined, norms, compared.status, mu) - uncertain
+    margin = float(np.min(margins_of(refined, norms, compared.status, mu), initial=np.inf)) - uncertain
     slips = slips_nearby(compliance, compared.status, mu)
     near = _nearest(slips, refined, norms, 2 * compared.last + uncertain, margin)
     if isinstance(near, float):
@@ -480,7 +479,8 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         if norms is None:
             return ROWS_DEPEND
         slips = slips_nearby(compliance, status, mu, W if skew else None)
-        left, margin = 2 * last + refined.correction, least_margin(refined, norms, status, mu) - refined.correction
+        left, least = 2 * last + refined.correction, np.min(margins_of(refined, norms, status, mu), initial=np.inf)
+        margin = float(least) - refined.correction
         near = _nearest(slips, refined, norms, left, margin)
         if isinstance(near, float):
             return f"other equilibria are not excluded (kappa = {kappa:.3g}), nor others nearby ({near:.3g})"
