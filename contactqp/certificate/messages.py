@@ -247,8 +247,14 @@ def _summed(rows: Any, tie: int, others: Indices) -> bool:
     row, basis = rows[[tie]][:, columns].toarray()[0], rows[others][:, columns].toarray()
     if not np.all(np.isfinite(basis)) or not np.any(basis):
         return False
-    weights = np.linalg.lstsq(basis.T, row, rcond=None)[0]
-    return bool(np.all(abs(row - basis.T @ weights) <= SUMMED * (abs(row) + abs(basis.T) @ abs(weights))))
+    # In units in which the largest entry of each unknown, and then that of each row, is one.
+    unit = np.maximum(abs(row), abs(basis).max(axis=0))
+    row, basis = row / unit, basis / unit
+    summands = (basis / abs(basis).max(axis=1)[:, None]).T
+    weights = np.linalg.lstsq(summands, row, rcond=None)[0]
+    weights += np.linalg.lstsq(summands, row - summands @ weights, rcond=None)[0]
+    size = abs(row) + abs(summands) @ abs(weights)
+    return bool(np.all(abs(row - summands @ weights) <= SUMMED * size))
 
 
 def of_printing(problem: ContactProblem) -> str:
