@@ -39,6 +39,8 @@ from contactqp.model.solution import Answer
 MOST_COMBINATIONS = 256
 # Friction that misses its bound by this part of it is at its bound.
 AT_BOUND = 4 * EPS
+# Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
+RATE_EPS = 64 * EPS
 # In space, what doubles leave of a gap, a force or a slip beside what meets there, and of a bound beside the friction.
 LEFT = 64 * EPS
 # A slip whose direction is that of its friction to this is none that rounding makes.
@@ -451,6 +453,17 @@ class Borders:
                 turns = not grazes or STICK in self.choices(int(i))
                 signs += ([push[i]] if grazes else []) + ([slips[i]] if turns else [])
         return np.array(signs)
+
+    def hold(self, found: Rates, direction: Direction, system: RateSystem) -> bool:
+        """Return whether rates lead undecided contacts to the states that they were found in."""
+        unit, of_normal, _, _ = self.scales.units
+        push = abs(found.normal_force * of_normal)
+        whole = max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
+        nothing = np.array(SAME * whole)
+        if found.bound is not None:
+            rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
+            nothing = self.signs(found, direction, system, errors=True) + (RATE_EPS * whole if rounded else 0.0)
+        return bool(np.all(self.signs(found, direction, system) >= -nothing))
 
 
 def missed(problem: ContactProblem, scales: Scales, found: Rates, direction: Direction, system: RateSystem) -> float:

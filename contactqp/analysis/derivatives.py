@@ -234,7 +234,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
     turns = linearised.turns
-    if parameter in LINEAR and not turns:
+    if parameter in LINEAR and linearised.has_events:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
     bound = None
     seen = not direction.by_answer or all(rates.off is not None for rates in (back, ahead))

@@ -250,6 +250,14 @@ class RateSystem:
         done = settled or size <= ENOUGH * whole_size
         return Solved(found, self._bound(found, remainder), done, tuple(y), remainder)
 
+    def gap(self, solved: Solved, changes: Vector) -> Vector:
+        """Return the rates of gaps (m,) whose own changes are given: bodies may move far, and gaps next to nothing."""
+        u, push, *others = solved.extended
+        whole = self._size([part.double() for part in (u, push, *others)])
+        found = (extend(changes) - self._exact.normal @ u).double()
+        per = np.divide(1.0, self._sizes[0], out=np.zeros_like(found), where=self._sizes[0] > 0)
+        return zero_beneath([found], [per], INVISIBLE * whole)[0]
+
     def answer(self) -> Solved:
         """Return the answer where no slip turns, solution for the problem's own data, with the friction of slips."""
         problem, origin = self._problem, self._problem.slip_origin

@@ -27,6 +27,7 @@ from contactqp.analysis.border_states import (
     FAR,
     MOST_COMBINATIONS,
     MOST_TURNS,
+    RATE_EPS,
     TURNS_NO_MORE,
     Borders,
     Scales,
@@ -60,7 +61,8 @@ from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
+from contactqp.linalg.refinement import INVISIBLE
+from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -70,8 +72,6 @@ FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
-# Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
-RATE_EPS = 64 * EPS
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
@@ -214,6 +214,11 @@ class Linearised:
         return system
 
     @property
+    def has_events(self) -> bool:
+        """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
+        return not self.turns and not (self.redundant and self._sparse and len(self._touching) > MOST_SHARING)
+
+    @property
     def turns(self) -> bool:
         """Return whether slips in space turn, or may, so that the answer is not linear along any direction."""
         in_space = self.problem.frictional and self._drag.shape[1] > 1
@@ -258,10 +263,9 @@ class Linearised:
             return ahead, ahead
         towards = self._among_states if self.problem.frictional else self._by_problem
         ahead = towards(direction)
-        if not len(self.undecided) and not shifted:
-            return ahead, ahead
-        back = towards(direction.reversed())
-        return back.reversed(), ahead
+        if len(self.undecided) or shifted:
+            return towards(direction.reversed()).reversed(), ahead
+        return ahead, ahead
 
     def _is_shifted(self, direction: Direction) -> bool:
         """Return whether contacts that share their forces come to share them otherwise."""
@@ -297,7 +301,8 @@ class Linearised:
         found, bound, off = solved.found, solved.bound, None
         if direction.by_answer and system.across is None and self.extended_answer is not None:
             found, bound, off = system.completed(solved, data, own, direction, self.extended_answer)
-        return replace(self._of_parts(system, direction, found, bound, own), off=off)
+        rates = self._of_parts(system, direction, found, bound, own)
+        return replace(rates, off=off, gap=rates.gap if direction.by_answer else system.gap(solved, data.normal))
 
     @cached_property
     def extended_answer(self) -> Solved | None:
@@ -415,7 +420,7 @@ class Linearised:
                     continue
                 found = self._in_states(system, direction)
                 known = any(self.scales.are_one(found, other) for other in holding)
-                if not known and self._holds(found, direction, system):
+                if not known and self.borders.hold(found, direction, system):
                     holding.append(found)
         if len(holding) != 1:
             none = "no rates were found that continue" if len(self.borders.free) else "no rates continue"
@@ -465,28 +470,20 @@ class Linearised:
         if width_within(turns, signs / size, np.inf) > SEEN:
             raise many
 
-    def _holds(self, found: Rates, direction: Direction, system: RateSystem) -> bool:
-        """Return whether rates lead undecided contacts to the states that they were found in."""
-        unit, of_normal, _, _ = self.scales.units
-        push = abs(found.normal_force * of_normal)
-        whole = max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
-        nothing = np.array(SAME * whole)
-        if found.bound is not None:
-            rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
-            nothing = self.borders.signs(found, direction, system, errors=True) + (RATE_EPS * whole if rounded else 0.0)
-        return bool(np.all(self.borders.signs(found, direction, system) >= -nothing))
-
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
 
         Of contacts that graze neither forces nor gaps fall, from nothing.
         """
-        if self.redundant and not self._sparse:
-            touches = self.scales.of("gap", sign * rates.gap) <= SAME * self.scales.largest(rates)
-            members = self._touching[touches[self._touching]]
+        if self.redundant:
+            turns, whole = self.scales.of("gap", sign * rates.gap), self.scales.largest(rates)
+            members = self._touching[turns[self._touching] <= SAME * whole]
+            moved = abs(self.problem.normal) @ abs(rates.displacement)
+            rounded = (abs(rates.gap) <= RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
+            gap = np.where(rounded, 0.0, sign * rates.gap)
             yield Sharing(self.problem, members, self.scales.units).reach(self._resultant, sign * rates.reaction)
             apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)
-            yield from falls(self._gap[apart], sign * rates.gap[apart])
+            yield from falls(self._gap[apart], gap[apart])
             return
         parts = rates.gap, rates.normal_force, rates.friction_force, rates.slip
         along = StateMargins(*(sign * part for part in parts))

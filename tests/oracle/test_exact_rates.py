@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from benchmarks.problem_families import family
 from tests.analysis.test_derivatives_with_friction import STEP, at_borders, directions, drawn, moved
 
 
@@ -58,6 +59,21 @@ def test_what_may_share_later_keeps_touching() -> None:
         assert (found.value.tolist(), found.reach[1]) == ([0, 0], reach)
         doubles = solution.derivative("displacement", "load", direction)
         assert doubles.reach == pytest.approx([float(step) for step in found.reach])
+
+
+@pytest.mark.parametrize(("family_name", "seed"), [("linear_programs", 1), ("shared_with_ties", 5)])
+def test_events_of_redundant_contacts_are_those_of_exact_answers(family_name: str, seed: int) -> None:
+    """Goods carried by four ways, whose many multipliers a few take; a body moves far, and a gap keeps its width."""
+    problem = family(family_name, seed)
+    solution, answer, rng, seen = cq.solve(problem), cq.exact(problem, enclose=False), np.random.default_rng(seed), 0
+    for _ in range(4):
+        direction = rng.integers(-3, 4, problem.dimension) * np.max(abs(problem.load))
+        found = solution.derivative("displacement", "load", direction)
+        true = answer.derivative("displacement", "load", direction)
+        if found.reach is not None and true.reach is not None:
+            assert found.reach == pytest.approx([float(step) for step in true.reach], rel=1e-9)
+            seen += 1
+    assert seen >= 2
 
 
 def test_forces_of_contacts_are_unique_beside_ties_that_are_not() -> None:
