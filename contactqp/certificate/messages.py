@@ -249,8 +249,9 @@ def _summed(rows: Any, tie: int, others: Indices) -> bool:
         return False
     # In units in which the largest entry of each unknown, and then that of each row, is one.
     unit = np.maximum(abs(row), abs(basis).max(axis=0))
-    row, basis = row / unit, basis / unit
-    summands = (basis / abs(basis).max(axis=1)[:, None]).T
+    row, basis = row / np.where(unit > 0, unit, 1.0), basis / np.where(unit > 0, unit, 1.0)
+    largest = abs(basis).max(axis=1)
+    summands = (basis / np.where(largest > 0, largest, 1.0)[:, None]).T
     weights = np.linalg.lstsq(summands, row, rcond=None)[0]
     weights += np.linalg.lstsq(summands, row - summands @ weights, rcond=None)[0]
     size = abs(row) + abs(summands) @ abs(weights)
