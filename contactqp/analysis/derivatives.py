@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Parts, Rates, errors_of
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
+from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import unknown_scale
@@ -178,6 +179,7 @@ def _refuse_unknown(
             raise InvalidProblem(f"{argument}: expected one of {', '.join(known)}, got {name!r}")
         if solution.problem.tangent is None and name in ("friction_force", "slip", "friction", "slip_origin"):
             raise InvalidProblem(f"{argument}: {name!r} of a problem without tangential rows")
+    refuse_far_from_one("derivatives", solution.problem, OF_SQUARES)
 
 
 def _value(solution: Solution, of: str) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.bounds import Bounds
-from contactqp.errors import InvalidProblem, NoEquilibrium
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified
 from contactqp.linalg.equilibration import ALIKE, balanced_exponents, mostly_bare
 from contactqp.linalg.existence import Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
@@ -40,6 +40,8 @@ ALIKE_UNKNOWNS = 10
 NO_ROUNDING = 66
 # Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
 LEAST_FRICTION = 2.0**-900
+# Binary exponents of sizes of which squares, and products of squares and other sizes, are doubles.
+OF_SQUARES = 500
 # Says of a problem that it is one in these units.
 BROUGHT = "brought"
 # The exponent of zero, and one that all doubles in all units are above.
@@ -126,6 +128,21 @@ class NearOne:
                 "what loads and ties move elsewhere; give infinity if it never closes"
             )
 
+    def answer_of(self, solution: Any) -> Answer:
+        """Return the answer of a solution in these units; InvalidProblem where it exceeds doubles, or a gap does."""
+        self.refuse_far_gap(solution)
+        return self.whole_answer(solution.answer)
+
+    def refuse_lost(self, found: Any, whole: Any) -> None:
+        """Raise NotCertified where a solution passes in these units alone: its numbers are below all other doubles."""
+        if whole.certificate.passed or not found.certificate.passed:
+            return
+        for name in ("displacement", "normal_force", "tie_force"):
+            there, here = getattr(found.answer, name), getattr(whole.answer, name)
+            if np.any(there != 0) and abs(here).max() < np.finfo(float).tiny:
+                told = f"{found.method}: {name}: the largest is below 2.2e-308; state the problem in other units"
+                raise NotCertified(told, whole)
+
     def violations(self, found: Violations) -> Violations:
         """Return figures that have units in the units of the problem."""
         force, normal, slip = self.length - self.unknowns, self.length + self.contacts, self.length + self.tangents
@@ -204,12 +221,13 @@ def near_one(problem: ContactProblem) -> NearOne | None:
     return _under_load(problem, *twin)
 
 
-def refuse_far_from_one(who: str, problem: ContactProblem) -> None:
+def refuse_far_from_one(who: str, problem: ContactProblem, farthest: int = FARTHEST) -> None:
     """Raise InvalidProblem where the problem's numbers are so far from one that results would exceed doubles."""
-    if near_one(problem) is not None and not (_matrices_are_near_one(problem) and _vectors_are_near_one(problem)):
+    near = _matrices_are_near_one(problem, farthest) and _vectors_are_near_one(problem, farthest)
+    if near_one(problem) is not None and not near:
         raise InvalidProblem(
-            f"{who}: expected stiffnesses, rows, loads and lengths whose sizes are from {2.0**-FARTHEST:.0e} to "
-            f"{2.0**FARTHEST:.0e}, got others; state the problem in other units"
+            f"{who}: expected stiffnesses, rows, loads and lengths whose sizes are from {2.0**-farthest:.0e} to "
+            f"{2.0**farthest:.0e}, got others; state the problem in other units"
         )
 
 
@@ -219,13 +237,11 @@ def _exponent(values: Any) -> Index:
     return np.where(values == 0, NONE, np.frexp(values)[1]).astype(np.int64)
 
 
-def _matrices_are_near_one(problem: ContactProblem) -> bool:
+def _matrices_are_near_one(problem: ContactProblem, farthest: int = FARTHEST) -> bool:
     matrices = _matrices(problem)
-    return (
-        are_near_one(problem.diagonal)
-        and all(are_near_one(_largest(matrix)) for matrix in matrices if matrix.nnz)
-        and (bool(problem.diagonal.all()) or are_near_one(_largest_without_stiffness(problem, matrices)))
-    )
+    sizes = [problem.diagonal, *(_largest(matrix) for matrix in matrices if matrix.nnz)]
+    sizes += [] if problem.diagonal.all() else [_largest_without_stiffness(problem, matrices)]
+    return all(are_near_one(one, farthest) for one in sizes)
 
 
 def _largest_without_stiffness(problem: ContactProblem, matrices: list[Any]) -> Vector:
@@ -242,13 +258,13 @@ def _matrices(problem: ContactProblem) -> list[Any]:
     return [problem.normal, problem.tie, *([] if problem.tangent is None else [problem.tangent])]
 
 
-def _vectors_are_near_one(problem: ContactProblem) -> bool:
+def _vectors_are_near_one(problem: ContactProblem, farthest: int = FARTHEST) -> bool:
     """Return whether the largest of load, gaps, ties and slip origins are in range and not all far below it."""
     parts = [problem.load, problem.gap[np.isfinite(problem.gap)], problem.tie_value]
     if problem.slip_origin is not None:
         parts.append(problem.slip_origin)
     largest = max(float(abs(part).max(initial=0.0)) for part in parts)
-    return are_near_one(np.array([largest]))
+    return are_near_one(np.array([largest]), farthest)
 
 
 def _units_are_own(problem: ContactProblem) -> bool:

@@ -350,7 +350,8 @@ def _orthonormal_by_body(motions: Array) -> Array:
 
     Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
     """
-    coordinates = np.diag(1 / np.linalg.norm(motions, axis=0))
+    largest = abs(motions).max(axis=0)  # squares of entries of 1e-160 are zero
+    coordinates = np.diag(1 / np.linalg.norm(motions / largest, axis=0) / largest)
     for _ in range(2):
         unit = motions @ coordinates
         coordinates = coordinates @ np.linalg.inv(np.linalg.cholesky(unit.T @ unit)).T

@@ -433,7 +433,7 @@ def read_motions(value: ArrayLike | None, n: int) -> Array | None:
     return read_only(motions)
 
 
-def are_near_one(values: Array) -> bool:
-    """Return whether the binary exponents of all numbers but zeros are at most `FARTHEST` and at least its inverse."""
+def are_near_one(values: Array, farthest: int = FARTHEST) -> bool:
+    """Return whether the binary exponents of all numbers but zeros are at most `farthest` and at least its inverse."""
     size = abs(values[values != 0])
-    return not size.size or bool(size.min() >= 2.0 ** (-FARTHEST - 1) and size.max() < 2.0**FARTHEST)
+    return not size.size or bool(size.min() >= 2.0 ** (-farthest - 1) and size.max() < 2.0**farthest)

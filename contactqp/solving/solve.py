@@ -347,7 +347,7 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
     warm_candidate(near.whole, warm_start)
     start = None if warm_start is None else near.start(warm_start)
     try:
-        return of_problem(near, solve(near.problem, method, warm_start=start, **near.options(same)))
+        found = solve(near.problem, method, warm_start=start, **near.options(same))
     except (NotConverged, NotCertified) as error:
         near.refuse_far_gap()
         if isinstance(error.solution, Solution):
@@ -356,21 +356,21 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
     except NoEquilibrium as error:
         near.refuse_far_gap()
         raise near.no_equilibrium(error) from None
+    return of_problem(near, found)
 
 
 def of_problem(near: NearOne, found: Solution) -> Solution:
     """Return a solution in units near one as one of the problem, certified in the problem's units.
 
-    Raises InvalidProblem: the answer, or a gap that it closes, is beyond doubles.
+    Raises InvalidProblem, NotCertified: the answer, or a gap that it closes, is beyond doubles, or is below them.
     """
-    near.refuse_far_gap(found)
-    answer = near.whole_answer(found.answer)
+    answer, raw = near.answer_of(found), None if near.whole.frictional else found.raw
     certificate = certificate_of(near.whole, answer, found.certificate.tolerance, found.certificate.error_tolerance)
-    raw = None
-    if found.raw is not None and not near.whole.frictional:
-        unpolished = replace(near.whole_answer(found.raw.answer), friction_force=None)
-        raw = replace(found.raw, problem=near.whole, answer=unpolished)
+    if raw is not None:
+        unpolished = replace(near.whole_answer(raw.answer), friction_force=None)
+        raw = replace(raw, problem=near.whole, answer=unpolished)
     whole = replace(found, problem=near.whole, answer=answer, raw=raw, certificate=certificate)
+    near.refuse_lost(found, whole)
     return replace(whole, free_motions=near.motions(found.free_motions))
 
 

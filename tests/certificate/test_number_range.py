@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -423,3 +424,42 @@ def test_small_programs_without_stiffness_are_solved_where_loads_are_far_from_le
     assert solution.certificate.passed
     assert plain.energy == pytest.approx(energy, rel=1e-9)
     assert solution.energy == pytest.approx(energy * pull * length, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "load", "row"), [(4.0, 5e-324, []), (1e300, 1e-30, [1.0]), (2.0**1000, 2.0**-90, [1.0])]
+)
+def test_an_answer_below_all_doubles_is_refused_and_is_known_in_rational_numbers(
+    stiffness: float, load: float, row: list[float]
+) -> None:
+    """The displacement was rounded to zero, and returned with a certificate that refuses it."""
+    problem = cq.ContactProblem([[stiffness]], [load], np.reshape(row, (-1, 1)), row)
+    with pytest.raises(
+        cq.NotCertified, match=r"displacement: the largest is below 2.2e-308; state the problem in"
+    ) as no:
+        cq.solve(problem)
+    assert no.value.solution.displacement.tolist() == [0.0]
+    assert cq.exact(problem).displacement[0] == Fraction(load) / Fraction(stiffness)
+
+
+@pytest.mark.parametrize("where", [0.0, 1.0])
+def test_small_numbers_beside_others_are_no_reason_to_refuse(where: float) -> None:
+    """A wall of stiffness takes all of a force of 5e-324, or another unknown moves by one."""
+    beside = cq.ContactProblem(np.diag([4.0, 1.0]), [5e-324, where], [[1.0, 0.0]], [0.0])
+    solution = cq.solve(beside)
+    assert solution.certificate.passed
+    assert solution.displacement.tolist() == [0.0, where]
+
+
+@pytest.mark.parametrize("size", [1e-145, 1e10, 1e145])
+def test_derivatives_have_their_digits_or_are_refused(size: float) -> None:
+    """An unknown without stiffness in a tie of 1e155: its motion is as long, its square infinite, its rate was zero."""
+
+    def rates(size: float) -> np.ndarray:
+        stiffness = [[0.0, 0.0], [0.0, 2.0]]
+        problem = cq.ContactProblem(stiffness, [2.0, 3.0], np.zeros((0, 2)), [], tie=[[size, 1.0]], tie_value=[2.0])
+        return cq.solve(problem).jacobian("displacement", with_respect_to="tie_value")
+
+    assert rates(size) == pytest.approx(np.array([[1 / size], [0.0]]), rel=1e-9, abs=1e-9 / size)
+    with pytest.raises(cq.InvalidProblem, match=r"derivatives: expected stiffnesses, .* from 3e-151 to 3e\+150"):
+        rates(1e155)
