@@ -255,16 +255,15 @@ def _nearest(
     """
     if slips is None:
         return np.inf
-    nearby = slips.kappa * (1 + norms.allowance)
-    if nearby < 1:
-        return left / (1 - nearby), margin
-    slides = slips.slides
-    found = slips.settled(refined.normal[slides], refined.slip[slides], norms.allowance, margin)
-    if found is None:
-        return nearby
+    nearby, slides = slips.kappa * (1 + norms.allowance), slips.slides
     force = refined.friction[slides]
     missed = slips.mu[:, None] * refined.normal[slides, None] * directions(refined.slip[slides]) - force
     off = np.linalg.norm(missed, axis=1) + ROUNDED * np.linalg.norm(force, axis=1)
+    if nearby < 1:
+        return (left + (1 + norms.allowance) * float(slips.widest @ off)) / (1 - nearby), margin
+    found = slips.settled(refined.normal[slides], refined.slip[slides], norms.allowance, margin)
+    if found is None:
+        return nearby
     # What refinement leaves moves slips, which J^-1 (J - I) takes to y, and forces, which J^-1 does.
     left = left * slips.growth
     error = ((1 + 2 * found.inverse) * left + float(found.spread @ off)) / found.slack
@@ -378,7 +377,9 @@ def _distance(
     still = lengths(refined.slip) + off_slip
     # Slipping: h_T along the slip, whose direction is known to what its rounding turns it by.
     turned = np.divide(2 * off_slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
+    in_space = refined.slip.shape[1] > 1  # where directions are doubles
     along = lengths(refined.friction - bound[:, None] * directions(refined.slip)) + bound * np.minimum(turned, 2.0)
+    along += in_space * ROUNDED * bound
     # Sticking: h_T the nearest point of the disc, and what slips is counted.
     within = lengths(refined.friction - onto_discs(refined.friction, bound))
     as_slipping = along * norms.slip

@@ -9,6 +9,8 @@ import pytest
 
 import contactqp as cq
 
+# Slips (a, b, c) of length c.
+DIRECTIONS = ((3, 4, 5), (-4, 3, 5), (5, -12, 13), (-8, -15, 17))
 WIDE = dict(tolerance=0.9, error_tolerance=1e3)
 
 
@@ -121,3 +123,33 @@ def test_forces_that_may_vanish_have_no_relative_error() -> None:
     assert right.scope == "global"
     assert right.force_error is not None
     assert right.force_error < 1e-6
+
+
+@pytest.mark.parametrize("spread", [1, pytest.param(40, marks=pytest.mark.slow)])
+def test_slip_directions_in_space_are_doubles_and_bounds_allow_for_it(spread: int) -> None:
+    """Two nodes that slip along (3, 4) / 5 and the like, as whole numbers say; slips are rounded in each digit."""
+    rng, scopes = np.random.default_rng(2), set()
+    for _ in range(12 * spread):
+        springs = rng.integers(-3, 4, (8, 6))
+        K = springs.T @ springs + np.diag(rng.integers(1, 4, 6))
+        u, size = rng.integers(-9, 10, 6), rng.integers(1, 6, 2)
+        slip = size[:, None] * [DIRECTIONS[i][:2] for i in rng.integers(0, len(DIRECTIONS), 2)]
+        length = np.rint(np.linalg.norm(slip, axis=1)).astype(int)
+        push = length * rng.integers(1, 20, 2)
+        rub = push[:, None] * slip // length[:, None]
+        mu = float(rng.choice([1.0, 3.0]))
+        rows, along = np.eye(6)[[0, 3]], np.eye(6)[[1, 2, 4, 5]]
+        forces = (int(mu) * rub).ravel()
+        load = K @ u + rows.T @ push + along.T @ forces
+        problem = cq.ContactProblem(
+            K, load, rows, rows @ u, tangent=along, friction=mu, slip_origin=along @ u - slip.ravel()
+        )
+        for part in (1e-16, 1e-13):
+            moved, pushed, rubbed = (x * (1 + part * rng.normal(size=x.shape)) for x in (u, push, forces))
+            judged = cq.certify(problem, moved, pushed, rubbed)
+            if judged.proven and judged.energy_error is not None:
+                scopes.add(judged.scope)
+                v = [Fraction(a) - int(b) for a, b in zip(moved, u, strict=True)]
+                energy = sum(int(k) * a * b for row, a in zip(K, v, strict=True) for k, b in zip(row, v, strict=True))
+                assert Fraction(judged.energy_error) ** 2 * int(u @ K @ u) >= energy
+    assert scopes == {"global", "local"}
