@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,16 @@ from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at, plane_states
+from contactqp.model.coulomb import (
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    Status,
+    combinations_at,
+    number_of_combinations,
+    plane_states,
+)
 from contactqp.model.names import NAMES_IN_A_MESSAGE
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -279,7 +287,7 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
         None was found, and one nearly holds, or too many contacts are undecided to try all combinations.
     """
     choices = _choices(system, standing)
-    count = prod(len(choice) for choice in choices)
+    count = number_of_combinations(choices)
     if count > ALL_TRIED:
         quick = _quick(system, rates, standing)
         if quick is not None:

@@ -63,7 +63,7 @@ from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
 from contactqp.linalg.refinement import INVISIBLE
 from contactqp.model.arrays import TINY, Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at, number_of_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
@@ -408,7 +408,7 @@ class Linearised:
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
         choices = [self.borders.choices(int(i)) for i in self.undecided]
-        if np.prod([float(len(one)) for one in choices]) > MOST_COMBINATIONS:
+        if number_of_combinations(choices) > MOST_COMBINATIONS:
             raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
         holding: list[Rates] = []
         for status in combinations_at(self.undecided, choices, self.status):

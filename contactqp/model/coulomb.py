@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from itertools import product
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -44,12 +45,22 @@ def plane_states(friction: Any) -> tuple[int, ...]:
 
 def all_combinations(friction: Iterable[Any]) -> Iterator[tuple[int, ...]]:
     """Return every combination of the states of contacts in the plane, of coefficients of floats or Fractions (m,)."""
-    return product(*(plane_states(mu) for mu in friction))
+    return combinations_of([plane_states(mu) for mu in friction])
 
 
-def combinations_at(contacts: Any, choices: Iterable[tuple[int, ...]], status: Status) -> Iterator[Status]:
+def combinations_of(choices: Sequence[tuple[int, ...]]) -> Iterator[tuple[int, ...]]:
+    """Return every combination of a choice for each of some contacts."""
+    return product(*choices)
+
+
+def number_of_combinations(choices: Iterable[tuple[int, ...]]) -> int:
+    """Return how many combinations of a choice for each contact there are."""
+    return prod(len(choice) for choice in choices)
+
+
+def combinations_at(contacts: Any, choices: Sequence[tuple[int, ...]], status: Status) -> Iterator[Status]:
     """Yield states (m,) in which some contacts have each combination of their choices, and others those of `status`."""
-    for chosen in product(*choices):
+    for chosen in combinations_of(choices):
         combination = status.copy()
         combination[contacts] = chosen
         yield combination

@@ -16,14 +16,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
-from itertools import product
 
 from flint import fmpq, fmpq_mat
 
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.exact_algebra import Polyhedron, dot
 from contactqp.linalg.rational import fraction, is_zero, null_space, take, zeros
-from contactqp.model.coulomb import CLOSED, OPEN, SLIP_BACK, SLIP_ON, STICK, plane_states
+from contactqp.model.coulomb import (
+    CLOSED,
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    combinations_of,
+    number_of_combinations,
+    plane_states,
+)
 from contactqp.oracle.exact.exact_solution import ExactEvent
 from contactqp.oracle.exact.rational_equilibrium import Combination, System, system_of
 from contactqp.oracle.exact.rational_problem import RationalAnswer, RationalProblem, wrong
@@ -218,12 +226,10 @@ class _Walk:
                 choices.append((STICK,))
             else:
                 choices.append((STICK, SLIP_ON if drag > 0 else SLIP_BACK))
-        count = 1
-        for choice in choices:
-            count *= len(choice)
+        count = number_of_combinations(choices)
         if count > MOST_TRIED:
             raise Unsupported(f"exact: {at}: {count} ways to go on are too many to try in rational numbers")
-        return product(*choices)
+        return combinations_of(choices)
 
     def _rooms(self, states: States, rate: RationalAnswer) -> list[fmpq]:
         """Return the law in rates at contacts that are at a limit: linear in the rates, none of it negative where it

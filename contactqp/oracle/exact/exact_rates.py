@@ -18,7 +18,6 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ from contactqp.linalg.rational import (
     zeros,
 )
 from contactqp.model.arguments import checked
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, combinations_of, number_of_combinations
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.rational_equilibrium import settle
 from contactqp.oracle.exact.rational_problem import MOST_PIVOTS, Family, RationalProblem, of_floats
@@ -118,7 +117,7 @@ class _ExactRates:
             raise Unsupported("exact derivatives: with friction in the plane alone")
         self.u, self.force = column(answer.displacement), column(answer.normal_force)
         self.choices = [self._choices(i) for i in range(self.data.contacts)] if self.data.frictional else []
-        if np.prod([float(len(one)) for one in self.choices]) > MOST:
+        if number_of_combinations(self.choices) > MOST:
             raise Unsupported("exact derivatives: too many contacts at the border of two states")
         self.sharing = None if self.data.frictional else _sharing_of(answer, self.data)
 
@@ -184,7 +183,7 @@ class _ExactRates:
         if any(self._is_still(i) for i, change in enumerate(along["friction"].entries()) if change != 0):
             return "a contact has neither friction nor slip, which friction could act against"
         found: list[tuple[Any, Fraction | float]] = []
-        for states in product(*self.choices):
+        for states in combinations_of(self.choices):
             rates = self._in_states(states, along)
             if rates is None:
                 continue
