@@ -192,6 +192,24 @@ def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, ND
     return count, np.array(label, dtype=np.int32)
 
 
+def widest_level(matrix: sp.csr_matrix) -> int | None:
+    """Return the most unknowns of a level of the breadth-first search from an end; None where it has several parts."""
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n, start, starts = matrix.shape[0], 0, [0]
+    for _ in range(2):  # the last that is reached from anywhere is at an end
+        order, before = breadth_first_order(matrix, start, directed=False)
+        if len(order) < n:
+            return None
+        place = np.empty(n, dtype=np.intp)
+        place[order] = np.arange(n)
+        parent, starts = place[before[order[1:]]], [0, 1]
+        while starts[-1] < n:  # those whose parents are in the last level
+            starts.append(1 + int(np.searchsorted(parent, starts[-1])))
+        start = int(order[-1])
+    return int(np.max(np.diff(starts)))
+
+
 def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
     """Return how many connected parts a symmetric matrix has, and which of them each unknown belongs to (n,)."""
     size = matrix.shape[0]

@@ -20,20 +20,27 @@ from contactqp.linalg import pardiso, schur
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
-from contactqp.linalg.factorization import stated_motions
+from contactqp.linalg.factorization import stated_motions, widest_level
 from contactqp.linalg.floating import FloatingMotions, OneProcess
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.runtime import free_memory
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
-# A body is iterated on from this many unknowns with this many entries a row (in space, not in the plane); one with
-# friction from fewer, where its contacts, with three condensed unknowns each, are more than so many.
-LARGE, COUPLED = 200_000, 40
-LARGE_WITH_FRICTION, MANY_WITH_FRICTION = 10_000, 300
+# A body in space (with more than COUPLED entries a row, unlike one in the plane) is iterated on where its factors are
+# predicted to take more operations than what the proof that they give is worth: ten times the time of the iteration, as
+# of a cube of 200 000 unknowns. With friction nothing is proven in space, and where contacts, with three condensed
+# unknowns each, are more than MANY_WITH_FRICTION, factors of a cube of 10 000 unknowns are dearer already.
+MOST_OPERATIONS, COUPLED = 7e12, 40
+MOST_WITH_FRICTION, MANY_WITH_FRICTION = 1.75e10, 300
+# Entries of the factors of a cube of n unknowns over n^(4/3), measured at 74 000 and 180 000 unknowns with PARDISO.
+ENTRIES_IN_SPACE = 43
+# Factors of fewer bytes fit into any memory.
+LITTLE_MEMORY = 2.0**29
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
@@ -72,8 +79,9 @@ def systems_of(problem: ContactProblem) -> Systems:
 def iterated(problem: ContactProblem) -> bool:
     """Return whether a problem is solved and judged without a factorisation.
 
-    From 200 000 unknowns with more than 40 entries a row where pyamg is installed, in space with more than 300
-    frictional contacts, none of them on springs, from 10 000. What cannot be iterated on, bodies that float along
+    In space that is where pyamg is installed and factors are predicted to cost far more than a proof is worth, or more
+    than the free memory; with more than 300 frictional contacts, none of them on springs, where they cost more than the
+    iteration. What cannot be iterated on, bodies that float along
     motions that nobody has stated and methods that work with factors (`factorised`), is left to PARDISO, which refuses
     what does not fit into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the
     variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
@@ -83,18 +91,43 @@ def iterated(problem: ContactProblem) -> bool:
         return chosen == "pyamg"
     if not (_is_large(problem) and available()):
         return False
-    if pardiso.available() or problem.dimension < LARGE:
+    if pardiso.available() or not factors_are_dear(problem):
         return not problem._computed.of_stiffness.factorised and iterable(problem)
     return problem.dimension > LARGEST_BY_SUPERLU or iterable(problem)
 
 
 def _is_large(problem: ContactProblem) -> bool:
-    n = problem.dimension
-    if not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * n:
+    if not sp.issparse(problem.stiffness) or problem.stiffness.nnz <= COUPLED * problem.dimension:
         return False
     in_space = problem.slip_origin is not None and problem.slip_origin.shape[1] > 1
     many = problem.frictional and in_space and problem.contacts > MANY_WITH_FRICTION
-    return n >= (LARGE_WITH_FRICTION if many and not _rests_on_springs(problem) else LARGE)
+    if many and not _rests_on_springs(problem) and _of_cube(problem)[0] > MOST_WITH_FRICTION:
+        return True
+    return factors_are_dear(problem)
+
+
+def _of_cube(problem: ContactProblem) -> tuple[float, float]:
+    """Return the operations and bytes that factors of K take where it is that of a cube."""
+    n = problem.dimension
+    return grid_operations(n, problem.stiffness_rows.nnz / n), 8.0 * ENTRIES_IN_SPACE * n ** (4 / 3)
+
+
+def factors_are_dear(problem: ContactProblem) -> bool:
+    """Return whether factors of K are predicted to take more than `MOST_OPERATIONS`, or more than the free memory.
+
+    Slender bodies take less than a cube: eliminated from one end to the other, n b^2 operations and n b entries with b
+    unknowns a level of the breadth-first search.
+    """
+    operations, needed = _of_cube(problem)
+    free = free_memory() if needed > LITTLE_MEMORY else None
+    if operations <= MOST_OPERATIONS and (free is None or needed <= free):
+        return False
+    n, of_stiffness = float(problem.dimension), problem._computed.of_stiffness
+    if of_stiffness.widest_level is None:
+        of_stiffness.widest_level = widest_level(problem.stiffness_rows) or problem.dimension
+    operations = min(operations, n * of_stiffness.widest_level**2)
+    needed = min(needed, 8.0 * n * of_stiffness.widest_level)
+    return operations > MOST_OPERATIONS or (free is not None and needed > free)
 
 
 def _rests_on_springs(problem: ContactProblem) -> bool:
@@ -218,7 +251,7 @@ def may_be_factorised(problem: ContactProblem) -> bool:
     """Return whether an iterated body may be factorised: by a solver that refuses what does not fit into memory, and
     not where the user chose another.
     """
-    return (pardiso.available() or problem.dimension < LARGE) and not os.environ.get(CHOICE, "")
+    return (pardiso.available() or not factors_are_dear(problem)) and not os.environ.get(CHOICE, "")
 
 
 @contextmanager

@@ -19,6 +19,7 @@ class OfStiffness:
     bodies: Indices | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
     elimination_order: Any = None  # linalg.pardiso: that of the unknowns, found with the first sparse factorisation
+    widest_level: int | None = None  # linalg.iteration: unknowns of a level of the breadth-first search
     factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
     iterable: bool | None = None  # linalg.iteration: whether a hierarchy knows all motions of bodies that float
     supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell

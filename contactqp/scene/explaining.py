@@ -15,7 +15,7 @@ from rich.markup import escape
 from contactqp.elements.scalars import Number
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.linalg.iteration import LARGE, Systems, systems_of
+from contactqp.linalg.iteration import Systems, factors_are_dear, systems_of
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.scene.blocks import BLOCKS
@@ -372,7 +372,7 @@ def _systems(problem: ContactProblem) -> BuildingBlock:
     """Return which systems `solve` takes."""
     systems = systems_of(problem)
     if systems is Systems.ITERATED:
-        many = problem.frictional and problem.dimension < LARGE
+        many = problem.frictional and not factors_are_dear(problem)
         why = "contacts with friction are many" if many else "the body is too large to factorise"
         return BuildingBlock("condensation", False, f"{why}: it is iterated on")
     if systems is Systems.SPARSE:

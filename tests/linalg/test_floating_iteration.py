@@ -144,7 +144,7 @@ def test_with_friction_too(problem, monkeypatch):
 @pytest.fixture
 def large(monkeypatch):
     monkeypatch.delenv(CHOICE, raising=False)
-    monkeypatch.setattr("contactqp.linalg.iteration.LARGE", 1)
+    monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 0.0)
 
 
 @pytest.mark.sampled(2)

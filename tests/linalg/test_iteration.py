@@ -10,6 +10,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.certificate.multigrid_bounds import ENOUGH_STEPS
 from contactqp.linalg import multigrid
+from contactqp.linalg.factorization import widest_level
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.solving.methods import inexact_active_set
@@ -205,13 +206,48 @@ def test_what_is_iterated_on_is_large_and_in_space_unless_somebody_chooses(monke
     problem = on_paraboloid()
     monkeypatch.delenv(CHOICE, raising=False)
     assert not iterated(problem)
-    monkeypatch.setattr("contactqp.linalg.iteration.LARGE", problem.dimension)
+    monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 0.0)
     assert iterated(problem) == multigrid.available()
     monkeypatch.setattr("contactqp.linalg.iteration.COUPLED", 100)
     assert not iterated(problem)
     for choice in ("superlu", "pardiso", "pyamg"):
         monkeypatch.setenv(CHOICE, choice)
         assert iterated(problem) == (choice == "pyamg")
+
+
+@needs_pyamg
+def test_the_way_follows_the_predicted_cost_of_factors_and_not_the_number_of_unknowns(monkeypatch):
+    """A bar is eliminated from one end to the other, for a part of what a cube of as many unknowns takes."""
+    bar, cube = on_paraboloid((80, 3, 3), size=(80.0, 3.0, 3.0)), on_paraboloid((10, 10, 8))
+    assert bar.dimension > cube.dimension
+    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 2e8)
+    assert not iterated(bar)
+    assert iterated(cube)
+    monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 1e7)
+    assert iterated(fresh(bar))
+
+
+@needs_pyamg
+def test_factors_that_do_not_fit_into_the_free_memory_are_not_made(monkeypatch):
+    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.setattr("contactqp.linalg.iteration.LITTLE_MEMORY", 0.0)
+    free = 50_000_000
+    monkeypatch.setattr("contactqp.linalg.iteration.free_memory", lambda: free)
+    problem = on_paraboloid()
+    assert not iterated(problem)
+    free = 100_000
+    assert iterated(problem)
+
+
+def test_levels_of_a_search_are_those_of_the_graph():
+    chain = sp.diags([1.0, 2.0, 1.0], [-1, 0, 1], shape=(50, 50), format="csr")
+    order = np.random.default_rng(2).permutation(50)
+    assert widest_level(chain[order][:, order]) == 1
+    beside = sp.diags([1.0, 1.0], [-1, 1], shape=(4, 4))
+    grid = sp.csr_matrix(sp.kron(sp.identity(4), chain) + sp.kron(beside, sp.identity(50)))
+    assert widest_level(grid) == 4
+    assert widest_level(sp.csr_matrix(sp.block_diag([chain, chain]))) is None
 
 
 @pytest.mark.slow

@@ -293,7 +293,7 @@ def stopped(what: str) -> None:
 def large(monkeypatch: pytest.MonkeyPatch) -> cq.ContactProblem:
     """A block that is large enough to be iterated on, by nobody's choice."""
     monkeypatch.delenv(CHOICE)
-    monkeypatch.setattr("contactqp.linalg.iteration.LARGE_WITH_FRICTION", 1)
+    monkeypatch.setattr("contactqp.linalg.iteration.MOST_WITH_FRICTION", 0.0)
     monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 20)
     return fresh(BLOCK)
 
