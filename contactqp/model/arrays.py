@@ -363,6 +363,7 @@ def stage(name: str) -> AbstractContextManager[None]:
     return _UNTIMED if clock is None else clock.within(name)
 
 
+STOPPED = "stopped at the time limit"
 # When the call that runs has to end, if it has to, and the seconds that it was given.
 _END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that runs has to end", default=None)
 
@@ -372,6 +373,22 @@ def within_time(seconds: float | None) -> AbstractContextManager[None]:
     earlier = _END.get()
     end = earlier if seconds is None else (time.perf_counter() + seconds, seconds)
     return _ending(end if earlier is None or (end is not None and end[0] < earlier[0]) else earlier)
+
+
+# What is said of a call that had to end before it had any answer.
+NO_ANSWER = "no displacement had been computed yet, so that there is no answer to return"
+
+
+@contextmanager
+def call_within_time(seconds: float) -> Iterator[None]:
+    """End a call as `within_time` does, and say of one that had no answer until then why it returns none."""
+    try:
+        with within_time(seconds):
+            yield
+    except NotConverged as error:
+        if error.solution is None and str(error).startswith(STOPPED) and NO_ANSWER not in str(error):
+            error.args = (f"{error}; {NO_ANSWER}",)
+        raise
 
 
 def in_any_time() -> AbstractContextManager[None]:
@@ -433,4 +450,4 @@ def refuse_late(what: str) -> None:
     """Raise NotConverged where the call that runs should have ended; `what` was to be done next."""
     end = _END.get()
     if end is not None and time.perf_counter() > end[0]:
-        raise NotConverged(f"stopped at the time limit of {stated_limit(None)}, before {what}")
+        raise NotConverged(f"{STOPPED} of {stated_limit(None)}, before {what}")

@@ -44,12 +44,12 @@ from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arrays import (
     METHOD,
     Vector,
+    call_within_time,
     one_blas_thread,
     own_floating_point,
     stage,
     telling,
     time_is_up,
-    within_time,
 )
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
@@ -128,7 +128,7 @@ def solve(
     time_limit : float, optional
         Seconds for the call, for methods that can stop. It is looked at before each step and each factorisation, none
         of which is interrupted; the certificate of what was found comes on top. Where the time is up before there is
-        an answer, NotConverged has the best so far in `solution`, whose bounds take as long again at most.
+        an answer, NotConverged has the best so far, if any, in `solution`, whose bounds take as long again at most.
     max_iter : int, optional
         Iterations of the method.
     warm_start : Solution, optional
@@ -210,7 +210,7 @@ def _solve_any(
         return solve_local(problem, method, warm_start=warm_start, **same)
     limit = same["time_limit"]
     refuse_arguments(same["tolerance"], condense, same["polish"], limit, same["max_iter"])
-    with nullcontext() if limit is None else within_time(limit):
+    with nullcontext() if limit is None else call_within_time(limit):
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
 
 
