@@ -147,8 +147,9 @@ class Processes:
 
     def _ended(self, job: int, code: int) -> None:
         number = self._begun[job]
-        if code != 0 and number >= 0:
-            self._find(number, "hang", f"the process ended with {code}")
+        if code != 0:
+            where = "" if number >= 0 else " before its first trial"
+            self._find(number, "hang", f"the process ended with {code}{where}")
         if code == 0 or number < 0 or time.monotonic() > self._until:
             self._running.discard(job)
         else:

@@ -69,12 +69,12 @@ def _sign_ignored(measured: Any) -> Any:
     )
 
 
-def _wrong_scale(parts: Any) -> Any:
+def _wrong_scale(whole_answer: Any) -> Any:
     """Forces of problems with extreme numbers come back in the wrong unit."""
 
-    def changed(self: Any, found: Any) -> dict[str, Any]:
-        right = parts(self, found)
-        return right | dict(normal_force=2.0 * right["normal_force"])
+    def changed(self: Any, found: Any) -> Any:
+        right = whole_answer(self, found)
+        return replace(right, normal_force=2.0 * right.normal_force)
 
     return changed
 
@@ -142,7 +142,7 @@ FAULTS: dict[str, Fault] = {
     "tension": _certificate_with(_tension_forgiven),
     "sign": lambda: _patched(certificate, "_measured", _sign_ignored),
     "bound": _certificate_with(_bound_too_small),
-    "scale": lambda: _patched(number_range.NearOne, "parts", _wrong_scale),
+    "scale": lambda: _patched(number_range.NearOne, "whole_answer", _wrong_scale),
     "swallowed": lambda: _patched(runs.Run, "finish", _swallowed),
     # Rounding is judged against rounding: nothing counts as nothing.
     "floor": lambda: _patched(certificate, "ROUNDING_OF_ANSWERS", lambda _: 0.0),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -161,6 +162,20 @@ def test_findings_are_equal_by_what_they_say() -> None:
     finding = Finding("wrong", "solve", "off")
     assert replace(finding, text="on") != finding
     assert json.loads(json.dumps(finding.__dict__)) == finding.__dict__
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_can_be_planted(fault: str) -> None:
+    with FAULTS[fault]():
+        pass
+
+
+def test_processes_that_end_before_their_first_trial_are_a_finding(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    assert main(["--minutes", "0.5", "--jobs", "1"]) == 1
+    assert "the process ended with 1 before its first trial" in capsys.readouterr().out
 
 
 @pytest.mark.slow
