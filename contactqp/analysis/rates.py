@@ -216,7 +216,7 @@ class Linearised:
     @property
     def has_events(self) -> bool:
         """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
-        return not self.turns and not (self.redundant and self._sparse and len(self._touching) > MOST_SHARING)
+        return not self.turns and (not self.redundant or not self._sparse or self.sharings_are_few)
 
     @property
     def turns(self) -> bool:
@@ -237,7 +237,8 @@ class Linearised:
     @property
     def sharings_are_few(self) -> bool:
         """Return whether so few contacts touch that every sharing of their forces can be tried."""
-        return not self._sparse and len(self.closed) + len(self.grazing) <= MOST_SHARING
+        few = not self._sparse or self.problem.ties <= MOST_SHARING
+        return few and len(self._touching) <= MOST_SHARING
 
     @property
     def irregular(self) -> str | None:

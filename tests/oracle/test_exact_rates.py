@@ -76,6 +76,20 @@ def test_events_of_redundant_contacts_are_those_of_exact_answers(family_name: st
     assert seen >= 2
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_linear_programs_with_many_multipliers_have_the_rates_of_exact_answers(seed: int) -> None:
+    problem, rng = family("linear_programs", seed), np.random.default_rng(seed)
+    solution, answer = cq.solve(problem), cq.exact(problem, enclose=False)
+    turned = problem.normal.toarray() * rng.integers(-2, 3, problem.normal.shape)
+    for name, direction in (("gap", rng.integers(-3, 4, problem.contacts)), ("rows", turned)):
+        for of in ("displacement", "normal_force", "reaction", "energy"):
+            found, true = (one.derivative(of, name, direction) for one in (solution, answer))
+            assert (found.right is None, found.exists) == (true.right is None, true.exists), (of, name, found.reason)
+            for side, exactly in ((found.left, true.left), (found.right, true.right)):
+                if exactly is not None:
+                    assert np.ravel(side) == pytest.approx(np.ravel(exactly).astype(float), rel=1e-12, abs=1e-12)
+
+
 def test_forces_of_contacts_are_unique_beside_ties_that_are_not() -> None:
     twice = cq.ContactProblem(
         [[2.0, -1.0], [-1.0, 2.0]], [4.0, 1.0], [[1.0, 0.0]], [1.0], tie=[[0.0, 1.0], [0.0, 2.0]], tie_value=[0.25, 0.5]
