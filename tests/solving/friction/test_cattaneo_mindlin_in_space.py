@@ -20,16 +20,18 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
+from contactqp.linalg import multigrid
+from contactqp.linalg.pardiso import CHOICE
 
 FRICTION, RADIUS, MODULUS, POISSON = 0.4, 10.0, 21000.0, 0.3
 # Half of the largest size of an element within the contact [mm].
 ELEMENT = 0.1
 
 
-def pushed(sideways: float) -> tuple[cq.ContactProblem, np.ndarray]:
+def pushed(sideways: float, cells: tuple[int, int, int] = (8, 20, 7)) -> tuple[cq.ContactProblem, np.ndarray]:
     """The block, its top pressed down and moved along y, and the places of its contacts."""
     shape = box(
-        (4.0, 8.0, 4.0), (8, 20, 7), "hex8", grading=14.0, towards=("left", "middle", "bottom"), corner=(0.0, -4.0, 0.0)
+        (4.0, 8.0, 4.0), cells, "hex8", grading=14.0, towards=("left", "middle", "bottom"), corner=(0.0, -4.0, 0.0)
     )
     structure = Structure([Body(shape, Material(MODULUS, POISSON), "3d", name="b")])
     held = [Support("b", "left", 0), Support("b", "top", 1, sideways), Support("b", "top", 2, -0.035)]
@@ -66,11 +68,15 @@ class Partly:
 
 @pytest.fixture(scope="module", params=[0.006, 0.010, 0.012])
 def partly(request: pytest.FixtureRequest) -> Partly:
-    problem, places = pushed(0.0)
+    return partial_slip(request.param)
+
+
+def partial_slip(sideways: float, cells: tuple[int, int, int] = (8, 20, 7)) -> Partly:
+    problem, places = pushed(0.0, cells)
     pressed = cq.solve(problem.replace(friction=np.zeros(problem.contacts)))
     assert problem.tangent is not None
     origin = (problem.tangent @ pressed.displacement).reshape(-1, 2)
-    solution = cq.solve(problem.replace(load=pushed(request.param)[0].load, slip_origin=origin))
+    solution = cq.solve(problem.replace(load=pushed(sideways, cells)[0].load, slip_origin=origin))
     assert solution.friction_force is not None
     P, Q = 2 * solution.normal_force.sum(), 2 * solution.friction_force[:, 1].sum()
     return Partly(solution, np.hypot(places[:, 0], places[:, 1]), float(P), float(Q / (FRICTION * P)))
@@ -113,3 +119,31 @@ def test_the_formula_tells_partial_slip_from_sticking(partly: Partly) -> None:
     cylinder = FRICTION * (1 - np.sqrt(1 - partly.driven))
     assert abs(right - FRICTION) > 0.2 * FRICTION
     assert abs(right - cylinder) > 0.05 * FRICTION
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["factors", "iteration"])
+@pytest.mark.parametrize(
+    ("cells", "element", "most"), [((8, 20, 7), 0.095, 0.04), ((12, 30, 10), 0.065, 0.02), ((16, 40, 14), 0.05, 0.02)]
+)
+def test_partial_slip_comes_to_the_formula_as_elements_become_smaller(
+    monkeypatch: pytest.MonkeyPatch, cells: tuple[int, int, int], element: float, most: float, by: str
+) -> None:
+    """3990, 12 152 and 29 356 unknowns: both circles to an element, and what is left of mu in the middle."""
+    if by == "iteration":
+        if not multigrid.available():
+            pytest.skip("needs pyamg")
+        monkeypatch.setenv(CHOICE, "pyamg")
+    found = partial_slip(0.010, cells)
+    solution, radius = found.solution, found.radius
+    assert (solution.work.solver == "pyamg") == (by == "iteration")
+    assert solution.certificate.passed
+    sticks, slips = (radius[solution.contact_status == state] for state in ("stick", "slip"))
+    assert found.c - element < np.min(slips)
+    assert np.max(sticks) < found.c + element
+    pressed = solution.normal_force > 0
+    assert found.a - element < np.max(radius[pressed]) < found.a + element
+    middle = pressed & (radius < 0.55 * found.c)
+    assert solution.friction_force is not None
+    along = solution.friction_force[middle, 1] / solution.normal_force[middle]
+    assert np.max(abs(along - found.ratio(radius[middle]))) < most * FRICTION
