@@ -46,6 +46,8 @@ from contactqp.model.problem import ContactProblem
 TOO_ROUNDED = 1e-2
 # Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
 UNMET = 1e-22
+# Coulomb's law in doubles is missed by this part of the friction, by rounding.
+ROUNDED = 8 * EPS
 # Rows of about unit length that a motion moves by less do not move; those that move by less than the other, hardly.
 NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
 # A combination of forces is determined by balance where so little of it is beyond the range, and positive where it is
@@ -64,6 +66,10 @@ class RefinedLengths:
     gap: Vector  # (m,) of w
     slip: Array  # (m, d-1) of w
     correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
+
+    def room(self, mu: Vector) -> Vector:
+        """Return mu l_N - |l_T| (m,), less what is rounding of these doubles."""
+        return np.asarray((1 - ROUNDED) * mu * self.normal - lengths(self.friction))
 
 
 def refined_lengths(
@@ -185,7 +191,7 @@ def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: V
     """
     closed, frictional = status != OPEN, mu > 0
     sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
-    room = over(mu * refined.normal - lengths(refined.friction), mu * norms.normal_force + norms.tangential_force)
+    room = over(refined.room(mu), mu * norms.normal_force + norms.tangential_force)
     along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
     found = np.where(closed, over(refined.normal, norms.normal_force), over(refined.gap, norms.gap))
     found = np.where(sticks, np.minimum(found, room), found)
@@ -256,8 +262,11 @@ def norms_of_skew(
     half, more = np.zeros((m * d, len(rows))), 1 + norms.allowance
     half[rows] = inverse_of_lower(np.linalg.cholesky(compliance.W[np.ix_(rows, rows)])).T
     felt = (W @ half).reshape(m, d, -1)
-    own = felt @ felt.swapaxes(1, 2)
-    gap, slip = more * np.sqrt(own[:, 0, 0]), more * np.sqrt(largest_eigenvalues(own[:, 1:, 1:]))
+    slip, gap = more * np.sqrt(largest_eigenvalues(felt[:, 1:] @ felt[:, 1:].swapaxes(1, 2))), felt[:, 0]
+    if not acting.all():  # what is open may be pressed in another answer
+        of_all = norms_of_skew(compliance, W, mu, lost_digits)[0]
+        gap = np.full((m, 1), np.inf) if of_all is None else of_all.gap[:, None]
+    gap = more * np.linalg.norm(gap, axis=1)
     kappa = more * coupling(half.reshape(m, d, -1)[:, 0], felt[:, 1:], mu)
     return replace(norms, gap=gap, slip=slip), kappa
 

@@ -84,6 +84,7 @@ from contactqp.certificate.critical_friction import (
     too_many,
 )
 from contactqp.certificate.force_norms import (
+    ROUNDED,
     BalancedForces,
     Eliminated,
     ForceNorms,
@@ -110,14 +111,12 @@ from contactqp.linalg.delassus import (
 )
 from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
-from contactqp.model.arrays import EPS, Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
-# Coulomb's law in doubles is missed by this part of the friction, by rounding.
-ROUNDED = 8 * EPS
 # Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
 SYMMETRIC = 1e-15
 FLOATS = "a body is held by contacts alone"
@@ -183,8 +182,7 @@ def _balanced_distance(
         return None
     error = _distance(refined, norms, compared.status, mu, balanced.kappa, (balanced.gap, balanced.slip))
     closed = refined.normal > error * norms.normal_force
-    room = mu * refined.normal - lengths(refined.friction)
-    sticks = closed & (room > error * (mu * norms.normal_force + norms.tangential_force))
+    sticks = closed & (refined.room(mu) > error * (mu * norms.normal_force + norms.tangential_force))
     exists = balanced.always or np.all(margins_of(refined, norms, compared.status, mu) > error)
     return error if exists and balanced.settled_by(closed, sticks) else None
 
@@ -382,6 +380,7 @@ def _distance(
     along += in_space * ROUNDED * bound
     # Sticking: h_T the nearest point of the disc, and what slips is counted.
     within = lengths(refined.friction - onto_discs(refined.friction, bound))
+    within += np.where(refined.room(mu) < 0, ROUNDED * bound, 0.0)
     as_slipping = along * norms.slip
     as_sticking = within * norms.slip + still * (norms.tangential_force + mu * norms.normal_force)
     sticks = closed & (mu > 0) & ~(slides & (as_slipping <= as_sticking))

@@ -153,3 +153,41 @@ def test_slip_directions_in_space_are_doubles_and_bounds_allow_for_it(spread: in
                 energy = sum(int(k) * a * b for row, a in zip(K, v, strict=True) for k, b in zip(row, v, strict=True))
                 assert Fraction(judged.energy_error) ** 2 * int(u @ K @ u) >= energy
     assert scopes == ({"global", "local"} if spread > 1 else {"local"})
+
+
+def test_open_contacts_of_an_unsymmetric_local_problem_may_close_in_others_nearby() -> None:
+    # Open, it slips at r = (1, -2) as well, |r|^2 = 1 - 2 + 4, and sticks at (4, -5).
+    problem = cq.LocalProblem(delassus=[[1.0, 1.0], [0.0, 1.0]], offset=[1.0, 5.0], friction=2.0, dimension=2)
+    judged = [cq.certify_local(problem, force) for force in ([0.0, 0.0], [1.0, -2.0], [4.0, -5.0])]
+    assert [one.scope for one in judged] == ["local"] * 3
+    assert all(one.radius is not None and 0.1 < one.radius < 3.0**0.5 for one in judged)
+
+
+def sticking_force(W: np.ndarray, offset: np.ndarray) -> list[Fraction]:
+    (a, b), (_, c) = [[Fraction(x) for x in row] for row in W.tolist()]
+    p, s = (Fraction(x) for x in offset.tolist())
+    return [(b * s - c * p) / (a * c - b * b), (b * p - a * s) / (a * c - b * b)]
+
+
+def test_friction_within_rounding_of_its_bound_may_be_beyond_it() -> None:
+    rng, proven = np.random.default_rng(4), 0
+    for _ in range(60):
+        W = np.array([[2.0, 1.0], [1.0, 3.0]]) * rng.integers(1, 9)
+        offset = np.array([-1.0, 0.0]) - rng.uniform(0.0, 0.2, 2)
+        push, rub = sticking_force(W, offset)
+        mu = float(abs(rub) / push)
+        problem = cq.LocalProblem(delassus=W, offset=offset, friction=mu, dimension=2)
+        drag = Fraction(mu) * (1 if rub > 0 else -1)
+        if abs(rub) > Fraction(mu) * push:  # it slips by next to nothing, u_N = 0
+            push = -Fraction(offset[0]) / (Fraction(W[0, 0]) + Fraction(W[0, 1]) * drag)
+            rub = drag * push
+        for force in ([float(push), float(rub)], [float(push), mu * float(push) * (1 if rub > 0 else -1)]):
+            judged = cq.certify_local(problem, force)
+            if judged.force_error is None:
+                continue
+            proven += 1
+            (a, b), (_, c) = W.astype(int).tolist()
+            x, y = Fraction(force[0]) - push, Fraction(force[1]) - rub
+            size = a * push**2 + 2 * b * push * rub + c * rub**2
+            assert Fraction(judged.force_error) ** 2 * size >= a * x * x + 2 * b * x * y + c * y * y
+    assert proven > 50
