@@ -15,14 +15,17 @@ from benchmarks.adversary.files import Files
 from benchmarks.adversary.grammar import Sentence, draw
 from benchmarks.adversary.judging import Finding, Judge, judge_frictionless
 from benchmarks.adversary.judging_friction import judge_friction
+from benchmarks.adversary.large import judge_large
 from benchmarks.adversary.shrinking import shrunk
 from benchmarks.adversary.wild import judge_wild
 from benchmarks.bricks import Generator
 from benchmarks.friction_families import Posed
 from contactqp.solving.methods import find
 
-# What is drawn, and how often.
-KINDS = {"frictionless": 0.4, "plane": 0.15, "space": 0.1, "wild": 0.15, "files": 0.2}
+# What is drawn, and how often; large ones by numbers of their own, so that the other trials stay what they were.
+KINDS = {"frictionless": 0.4, "plane": 0.15, "space": 0.1, "wild": 0.15, "files": 0.2, "large": 0.04}
+# Kinds of which nothing is shrunk.
+WHOLE = ("wild", "files", "large")
 # Beside the default method, of these so many; those without friction that promise exact answers.
 METHODS = ("lemke", "lagrange-multiplier", "master-slave", "clarabel", "piqp", "osqp", "daqp", "proxqp", "highs",
            "augmented-lagrangian", "cvxpy", "scs", "qpalm")  # fmt: skip
@@ -49,9 +52,10 @@ def files() -> Files:
 def trial(seed: int, number: int, kinds: tuple[str, ...] = tuple(KINDS)) -> Trial:
     """Draw, judge."""
     rng, kind = _begin(seed, number, kinds)
-    if kind in ("wild", "files"):
-        judge = Judge(None, number)  # type: ignore[arg-type]  # there is no problem with a truth
-        (judge_wild if kind == "wild" else files().judge)(judge, rng)
+    if kind in WHOLE:
+        judge = Judge(None, number)  # type: ignore[arg-type]  # there is no problem of the grammar
+        of_kind = files().judge if kind == "files" else {"wild": judge_wild, "large": judge_large}[kind]
+        of_kind(judge, rng)
         return Trial(kind, (), judge.judgements, False, tuple(judge.findings))
     sentence, ask = _question(rng, kind)
     judge = Judge(sentence.posed, number)
@@ -60,9 +64,11 @@ def trial(seed: int, number: int, kinds: tuple[str, ...] = tuple(KINDS)) -> Tria
 
 
 def _begin(seed: int, number: int, kinds: tuple[str, ...]) -> tuple[Generator, str]:
-    rng = np.random.default_rng([seed, number])
-    weights = np.array([KINDS[kind] for kind in kinds])
-    return rng, str(rng.choice(kinds, p=weights / weights.sum()))
+    rng, others = np.random.default_rng([seed, number]), [kind for kind in kinds if kind != "large"]
+    if not others or ("large" in kinds and np.random.default_rng([seed, number, 1]).random() < KINDS["large"]):
+        return rng, "large"
+    weights = np.array([KINDS[kind] for kind in others])
+    return rng, str(rng.choice(others, p=weights / weights.sum()))
 
 
 def _question(rng: Generator, kind: str) -> tuple[Sentence, Callable[[Judge], None]]:
@@ -93,13 +99,13 @@ NOT_ASKED_AGAIN = ("hang", "memory")
 def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Finding, folder: Path) -> Path:
     """Shrink the problem of a trial to the smallest that shows a finding of its kind; write it with its command.
 
-    Of wild numbers, of files and of what hangs the command alone is written, which shows the finding again.
+    Of wild numbers, files, large bodies and what hangs the command alone is written, which shows the finding again.
     """
     rng, kind = _begin(seed, number, kinds)
     target = folder / f"{finding.kind}-{seed}-{number}"
     command = f"python -m benchmarks.adversary --seed {seed} --trial {number}"
     command += "".join(f" --kind {one}" for one in kinds if kinds != tuple(KINDS))
-    if kind in ("wild", "files") or finding.kind in NOT_ASKED_AGAIN:
+    if kind in WHOLE or finding.kind in NOT_ASKED_AGAIN:
         target.mkdir(parents=True, exist_ok=True)
         (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{kind}\n{command}\n")
         return target

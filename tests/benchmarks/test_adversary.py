@@ -103,6 +103,24 @@ def test_the_commands_that_read_mutated_files_work_as_they_stand() -> None:
         assert out
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "kind"), [("bound", "bound"), ("sign", "forgery")])
+def test_faults_show_in_large_bodies_whose_answer_is_chosen(fault: str, kind: str) -> None:
+    sound = [trial(3, number, ("large",)) for number in range(3)]
+    assert [finding for one in sound for finding in one.findings] == []
+    with FAULTS[fault]():
+        found = [finding for number in range(3) for finding in trial(3, number, ("large",)).findings]
+    assert kind in {finding.kind for finding in found}
+
+
+def test_every_fault_has_its_place() -> None:
+    """A fault whose function has another name by now is never planted, and the process ends without a trial."""
+    assert FAULTS.keys() - SEEN_AS.keys() == {"none"}
+    for plant in FAULTS.values():
+        with plant():
+            pass
+
+
 def test_an_error_of_several_lines_is_a_finding() -> None:
     judge = Judge(None, 0)  # type: ignore[arg-type]  # there is no problem with a truth
     _judge_command(judge, ["run", "nowhere.toml"], "as it stands", b"")
