@@ -23,20 +23,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contactqp.certificate.critical_friction import MOST_CONTACTS, coupling, felt_rows, inverse_of_lower, of_operator
-from contactqp.certificate.figures import PIVOTS_FLATTER, energy_norm, response
-from contactqp.certificate.state_bodies import Compared
+from contactqp.certificate.critical_friction import (
+    MOST_CONTACTS,
+    acting_rows,
+    coupling,
+    felt_rows,
+    inverse_of_lower,
+    of_operator,
+)
+from contactqp.certificate.figures import PIVOTS_FLATTER
+from contactqp.certificate.state_bodies import RefinedLengths
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import (
     FLOATING,
     ContactCompliance,
     ContactOperators,
-    RefinedForces,
     contact_compliance,
 )
 from contactqp.linalg.dense import orthonormal_motions
-from contactqp.linalg.extended import FINE_EPS, extend, extended_rows
-from contactqp.linalg.measures import lengths, own_compliance
+from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
@@ -44,10 +49,6 @@ from contactqp.model.problem import ContactProblem
 
 # Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
 TOO_ROUNDED = 1e-2
-# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
-UNMET = 1e-22
-# Coulomb's law in doubles is missed by this part of the friction, by rounding.
-ROUNDED = 8 * EPS
 # Rows of about unit length that a motion moves by less do not move; those that move by less than the other, hardly.
 NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
 # A combination of forces is determined by balance where so little of it is beyond the range, and positive where it is
@@ -55,53 +56,6 @@ NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
 DETERMINED, BEYOND_ROUNDING = 1e-11, 1e-9
 # A norm that sees less than this part of a motion is blind.
 SEEN = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedLengths:
-    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
-
-    normal: Vector  # (m,) l_N
-    friction: Array  # (m, d-1) l_T
-    gap: Vector  # (m,) of w
-    slip: Array  # (m, d-1) of w
-    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
-
-    def room(self, mu: Vector) -> Vector:
-        """Return mu l_N - |l_T| (m,), less what is rounding of these doubles."""
-        return np.asarray((1 - ROUNDED) * mu * self.normal - lengths(self.friction))
-
-
-def refined_lengths(
-    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
-) -> RefinedLengths | None:
-    """Return the response w to the refined forces, one more correction away, with its gaps and slips.
-
-    None where ties are left unmet.
-
-    Parameters
-    ----------
-    problem, condensation, compliance : the ContactProblem, its Condensation, and the operators of its contacts
-    compared : what the answer was compared with, whose refined answer is taken
-    """
-    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
-    u, force, friction = found.displacement, found.normal_force, found.friction_force
-    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
-    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
-    size = size + np.sqrt(own_compliance(problem, problem.tie)) * compared.strain  # both ends may be where they were
-    if np.any(missed > UNMET * size):
-        return None
-    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
-    left = left - rows.friction_force(friction)
-    step, error = response(problem, condensation, left, tied=problem.ties > 0)
-    moved = u + step
-    correction = 2 * energy_norm(problem, step)[0] + error
-    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
-    gap = (extend(problem.gap) - rows.normal @ moved).double()
-    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
-    scale = compliance.scale
-    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
-    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
 
 
 def rigid_uncertainty(
@@ -144,26 +98,52 @@ class ForceNorms:
     allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
 
     @staticmethod
-    def of(compliance: ContactOperators, lost_digits: float, acting: Mask) -> ForceNorms | None:
+    def nearby(compliance: ContactOperators, lost_digits: float, status: Status, mu: Vector) -> ForceNorms | None:
+        """Return those of answers whose open contacts stay open and, in the plane, whose slips keep their direction.
+
+        There l_T = mu l_N s, whose difference is no force of its own: tangential rows of contacts that slip may depend
+        on others.
+
+        Parameters
+        ----------
+        compliance, lost_digits : as in `of`
+        status, mu : states and coefficients (m,)
+        """
+        acting = acting_rows(compliance, status, mu)
+        slides = (abs(status) == 1) & (mu > 0) & (acting.shape[1] == 2)
+        return ForceNorms.of(compliance, lost_digits, acting, np.where(slides, mu * status, 0.0))
+
+    @staticmethod
+    def of(
+        compliance: ContactOperators, lost_digits: float, acting: Mask, drag: Vector | None = None
+    ) -> ForceNorms | None:
         """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
 
-        None where these rows depend on one another, or so nearly that rounding, of which W has `lost_digits`, leaves
-        nothing of their inverse.
+        None where these rows depend on one another, or so nearly that rounding leaves nothing of their inverse.
+
+        Parameters
+        ----------
+        compliance, acting : the operators of the contacts, and the rows (m, d)
+        lost_digits : by which W is rounded
+        drag : (m,) l_T / l_N of contacts in the plane where it is known, 0 elsewhere
         """
         contacts, d = acting.shape
         rows = np.flatnonzero(acting)
-        operator = compliance.operator(rows, compliance.ties)
+        operator, joined = compliance.operator(rows, compliance.ties), _joined(acting, drag, compliance.ties)
+        size = np.concatenate([compliance.size[rows], np.diag(operator)[len(rows) :]])
+        if joined is not None:
+            operator, size = joined.T @ operator @ joined, joined.T**2 @ size
         try:
             factor = np.linalg.cholesky(operator)
         except np.linalg.LinAlgError:
             return None
-        size = np.concatenate([compliance.size[rows], np.diag(operator)[len(rows) :]])
         pivots = np.diag(factor) ** 2 / size
         rounding = max(lost_digits, len(pivots) * EPS)
         allowance = float(PIVOTS_FLATTER * rounding / np.min(pivots, initial=1.0)) + compliance.rounding
         half = inverse_of_lower(factor)
         if not (allowance <= TOO_ROUNDED and np.all(np.isfinite(half))):
             return None
+        half = half if joined is None else half @ joined.T
         inverse = np.zeros((contacts * d, contacts * d))
         inverse[np.ix_(rows, rows)] = (half.T @ half)[: len(rows), : len(rows)]
         own, response_of = (
@@ -179,6 +159,23 @@ class ForceNorms:
             more * np.sqrt(largest_eigenvalues(response_of[:, 1:, 1:])),
             allowance,
         )
+
+
+def _joined(acting: Mask, drag: Vector | None, ties: int) -> Array | None:
+    """Return the forces on rows that act, and on ties, of which others are combined (q + k, p + k); None where all are.
+
+    Parameters
+    ----------
+    acting, drag : as in `ForceNorms.of`
+    ties : k
+    """
+    slides = np.flatnonzero((drag != 0) & acting.all(axis=1)) if drag is not None else np.zeros(0, dtype=np.intp)
+    if drag is None or not len(slides):
+        return None
+    number = np.cumsum(acting).reshape(acting.shape) - 1
+    all_forces = np.eye(int(np.sum(acting)) + ties)
+    all_forces[number[slides, 1], number[slides, 0]] = drag[slides]
+    return np.asarray(np.delete(all_forces, number[slides, 1], axis=1))
 
 
 def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
@@ -206,25 +203,6 @@ def over(size: Vector, norm: Vector) -> Vector:
 def largest_eigenvalues(blocks: Array) -> Vector:
     """Return the largest eigenvalue of each of some symmetric blocks (m, d, d), 0 of empty ones."""
     return np.asarray(np.max(np.linalg.eigvalsh(blocks), axis=1, initial=0.0))
-
-
-def refined_local_lengths(
-    problem: LocalProblem, force: Array, found: RefinedForces
-) -> tuple[RefinedLengths, float, float, float]:
-    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
-    shape, scale = force.shape, problem.contact_scale[:, None]
-    W = problem.scaled_delassus
-
-    def norm(forces: Array) -> float:
-        scaled = (forces.reshape(shape) / scale).ravel()
-        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
-
-    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
-    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
-    correction = float(FINE_EPS * np.linalg.norm(meeting))
-    refined = RefinedLengths(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
-    apart = norm((extend(force.ravel()) - found.force).double())
-    return refined, apart, norm(found.last), norm(found.force.double())
 
 
 def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[ForceNorms | None, float]:

@@ -29,11 +29,12 @@ the candidate to that answer is added.
 
 Where kappa is not below 1 the combination itself is looked at. If every sign holds by a margin, an equilibrium nearer
 than r, the least margin over its V_i or w_i, has the same combination: what is open stays open, so that d acts on the
-closed contacts alone and V_i^2 is that of their rows. That combination has one answer: in the plane that of a linear
-system, in space where a smaller constant, in which slipping contacts alone count (`slips_nearby`), is below 1: slips
-are then the only zero of a continuous, strongly monotone map on a ball, and one is there (Brouwer), since what the
-refined slips leave is less than the map grows by within the ball; elsewhere by Newton and Kantorovich, as
-`SlipsNearby.settled` says. `scope` is "local", `radius` is r in the energy norm.
+closed contacts alone, in the plane with d_T = mu d_N s where they slip, and V_i^2 is that of what is left. That
+combination has one answer: in the plane that of a linear system, in space where a smaller constant, in which slipping
+contacts alone count (`slips_nearby`), is below 1: slips are then the only zero of a continuous, strongly monotone map
+on a ball, and one is there (Brouwer), since what the refined slips leave is less than the map grows by within the ball;
+elsewhere by Newton and Kantorovich, as `SlipsNearby.settled` says. `scope` is "local", `radius` is r in the energy
+norm.
 
 Where some contacts have no margin (at a border of stick and slip, closed without force), r is the least margin of the
 others. These keep their states, and are eliminated: d = T d_L, and W' d_L are the gaps and slips of the contacts L at
@@ -84,11 +85,9 @@ from contactqp.certificate.critical_friction import (
     too_many,
 )
 from contactqp.certificate.force_norms import (
-    ROUNDED,
     BalancedForces,
     Eliminated,
     ForceNorms,
-    RefinedLengths,
     balanced_forces,
     eliminated,
     margins_of,
@@ -96,12 +95,16 @@ from contactqp.certificate.force_norms import (
     norms_of_skew,
     over,
     part_that_is_seen,
-    refined_lengths,
-    refined_local_lengths,
     rigid_uncertainty,
     rows_with_friction,
 )
-from contactqp.certificate.state_bodies import Compared
+from contactqp.certificate.state_bodies import (
+    ROUNDED,
+    Compared,
+    RefinedLengths,
+    refined_lengths,
+    refined_local_lengths,
+)
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import (
     ContactCompliance,
@@ -203,7 +206,7 @@ def _proven_nearby(
     others : why there is no global statement
     """
     compliance, mu = contact_compliance(problem, condensation), _coefficient(problem, compared)
-    norms = ForceNorms.of(compliance, condensation.lost_digits, acting_rows(compliance, compared.status, mu))
+    norms = ForceNorms.nearby(compliance, condensation.lost_digits, compared.status, mu)
     if norms is None:
         return ROWS_DEPEND
     others = f"other equilibria are not excluded ({others})"
@@ -475,7 +478,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
     else:
         acting = acting_rows(compliance, status, mu)
         of_acting = norms_of_skew(compliance, W, mu, 0.0, acting)[0] if skew else None
-        norms = of_acting if skew else ForceNorms.of(compliance, 0.0, acting)
+        norms = of_acting if skew else ForceNorms.nearby(compliance, 0.0, status, mu)
         if norms is None:
             return ROWS_DEPEND
         slips = slips_nearby(compliance, status, mu, W if skew else None)

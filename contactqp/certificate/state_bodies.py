@@ -15,23 +15,29 @@ import numpy as np
 from contactqp.certificate import messages
 from contactqp.certificate.bounds import error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
-from contactqp.certificate.figures import energy_norm, rigid_rounding
+from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
-from contactqp.linalg.extended import extend, residuals
+from contactqp.linalg.delassus import ContactCompliance, RefinedForces
+from contactqp.linalg.extended import FINE_EPS, extend, extended_rows, residuals
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
-from contactqp.linalg.measures import row_sizes
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.linalg.measures import lengths, own_compliance, row_sizes
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
+from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES_ALONE, Answer
 
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
 
+# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
+UNMET = 1e-22
+# Coulomb's law in doubles is missed by this part of the friction, by rounding.
+ROUNDED = 8 * EPS
 # Equilibrium at every unknown that the answer of a combination that is iterated on is asked for.
 ROUNDING_OF_FIGURES = 1e-10
 # A turn of slip directions that changes the displacement by this part of its energy norm is the last.
@@ -224,6 +230,72 @@ class Compared:
     strain: float  # |u_c|_K
     size: float  # |l_c|_W
     unsure: float  # by which rounding may change |u_c|_K
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedLengths:
+    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
+
+    normal: Vector  # (m,) l_N
+    friction: Array  # (m, d-1) l_T
+    gap: Vector  # (m,) of w
+    slip: Array  # (m, d-1) of w
+    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
+
+    def room(self, mu: Vector) -> Vector:
+        """Return mu l_N - |l_T| (m,), less what is rounding of these doubles."""
+        return np.asarray((1 - ROUNDED) * mu * self.normal - lengths(self.friction))
+
+
+def refined_lengths(
+    problem: ContactProblem, condensation: Condensation, compared: Compared, compliance: ContactCompliance
+) -> RefinedLengths | None:
+    """Return the response w to the refined forces, one more correction away, with its gaps and slips.
+
+    None where ties are left unmet.
+
+    Parameters
+    ----------
+    problem, condensation, compliance : the ContactProblem, its Condensation, and the operators of its contacts
+    compared : what the answer was compared with, whose refined answer is taken
+    """
+    found, rows, m = compared.refined, extended_rows(problem), problem.contacts
+    u, force, friction = found.displacement, found.normal_force, found.friction_force
+    missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
+    size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
+    size = size + np.sqrt(own_compliance(problem, problem.tie)) * compared.strain  # both ends may be where they were
+    if np.any(missed > UNMET * size):
+        return None
+    left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
+    left = left - rows.friction_force(friction)
+    step, error = response(problem, condensation, left, tied=problem.ties > 0)
+    moved = u + step
+    correction = 2 * energy_norm(problem, step)[0] + error
+    origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
+    gap = (extend(problem.gap) - rows.normal @ moved).double()
+    slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
+    scale = compliance.scale
+    forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
+    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
+
+
+def refined_local_lengths(
+    problem: LocalProblem, force: Array, found: RefinedForces
+) -> tuple[RefinedLengths, float, float, float]:
+    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
+    shape, scale = force.shape, problem.contact_scale[:, None]
+    W = problem.scaled_delassus
+
+    def norm(forces: Array) -> float:
+        scaled = (forces.reshape(shape) / scale).ravel()
+        return float(np.sqrt(max(scaled @ (W @ scaled), 0.0)))
+
+    r, u = found.force.double().reshape(shape) / scale, found.velocity.double().reshape(shape) * scale
+    meeting = abs(W) @ abs(r).ravel() + (abs(problem.offset).reshape(shape) * scale).ravel()
+    correction = float(FINE_EPS * np.linalg.norm(meeting))
+    refined = RefinedLengths(r[:, 0], -r[:, 1:], u[:, 0], u[:, 1:], correction)
+    apart = norm((extend(force.ravel()) - found.force).double())
+    return refined, apart, norm(found.last), norm(found.force.double())
 
 
 @dataclass(frozen=True, eq=False)

@@ -191,3 +191,29 @@ def test_friction_within_rounding_of_its_bound_may_be_beyond_it() -> None:
             size = a * push**2 + 2 * b * push * rub + c * rub**2
             assert Fraction(judged.force_error) ** 2 * size >= a * x * x + 2 * b * x * y + c * y * y
     assert proven > 50
+
+
+def block_on_feet(pushed: float, feet: tuple[float, ...] = (-1.0, 1.0)) -> cq.ContactProblem:
+    """A rigid block (x, y, turn) on a bed, pressed onto feet and pushed sideways; their tangential rows are one."""
+    normal = np.array([[0.0, -1.0, -x] for x in feet])
+    tangent = np.tile([[1.0, 0.0, 0.0]], (len(feet), 1))
+    return cq.ContactProblem(
+        np.diag([1.0, 2.0, 3.0]), [pushed, -8.0, 1.0], normal, np.zeros(len(feet)), tangent=tangent, friction=0.25
+    )
+
+
+def test_a_rigid_block_that_slides_on_two_feet_is_proven() -> None:
+    # 4.5 + 3.5 press and rub with 2: x = 5 - 2.
+    problem = block_on_feet(5.0)
+    exact = cq.certify(problem, [3.0, 0.0, 0.0], [4.5, 3.5], [1.125, 0.875])
+    assert (exact.passed, exact.scope) == (True, "local")
+    assert exact.radius is not None
+    assert exact.force_bound is not None
+    assert 0.5 < exact.radius < 3.5
+    assert np.all(exact.force_bound < 1e-14)
+    off = cq.certify(problem, [3.0, 0.0, 0.0], [4.5 + 2.0**-27, 3.5 - 2.0**-27], [1.125, 0.875])
+    assert off.force_bound is not None
+    assert np.all(off.force_bound >= 2.0**-27)
+    # Sticking, they share friction in many ways.
+    assert cq.certify(block_on_feet(1.0), [0.0, 0.0, 0.0], [4.5, 3.5], [0.4, 0.6]).scope is None
+    assert cq.certify(block_on_feet(5.0, (-1.0, 0.0, 1.0)), [3.0, 0.0, 0.0], [4, 1, 3], [1.0, 0.25, 0.75]).scope is None
