@@ -432,7 +432,7 @@ class PathSystem:
 
         def refined(force: Vector, gap: Vector, tie: Vector) -> Step:
             u, l, nu = once(force, gap, tie)  # noqa: E741
-            for _ in range(REFINEMENTS):
+            for _ in range(1 if elimination_order(problem).band is not None else REFINEMENTS):
                 left = force - problem.stiffness_rows @ u - E.T @ l - A.T @ nu
                 du, dl, dn = once(left, gap - E @ u + compliance * l, tie - A @ u)
                 u, l, nu = u + du, l + dl, nu + dn  # noqa: E741

@@ -33,6 +33,8 @@ from contactqp.model.problem import ContactProblem
 # What is added to the diagonal of the saddle point, whose entries are at most one: the largest first, which rounds
 # least. The next is taken where sweeps contract too slowly, as rows that nearly repeat make them.
 REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
+# Factors of narrow bands have row exchanges, which need no more than the last where the first contracts too slowly.
+BETWEEN = REGULARISATIONS[1:-1]
 # Up to this part of the unknowns that closed contacts fix, eliminating these with the others costs less than an
 # analysis of what is left, in space too, where it takes a fifth of the time of a factorisation.
 FEW_FIXED = 0.2
@@ -335,6 +337,8 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
     """
     state = ClosedState.started(problem, closed, start)
     for regularisation in sorted(REGULARISATIONS, key=lambda added: added != effort.first):
+        if regularisation in BETWEEN and pardiso.elimination_order(problem).band is not None:
+            continue
         try:
             saddle = kept_saddle(problem, closed, regularisation, effort)
         except BackendFailed:  # too little was added for pivots on the diagonal
