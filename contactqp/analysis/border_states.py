@@ -205,10 +205,21 @@ class Scales:
         return max(float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)) for name in MEASURED)
 
     def are_one(self, one: Rates, other: Rates) -> bool:
-        """Return whether two combinations of states have the same rates; what is nothing beside slips is none."""
+        """Return whether two combinations of states have the same rates.
+
+        What is nothing beside slips is none, nor is what the bounds of the errors of both leave open.
+        """
         sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
         nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
+        nothing = max(nothing, self._left_open(one) + self._left_open(other))
         return all(self._apart(name, one, other) <= nothing for name in MEASURED)
+
+    def _left_open(self, rates: Rates) -> float:
+        """Return the largest bound of the errors of rates, in the square root of energy, 0 where there is none."""
+        if (bound := rates.bound) is None:
+            return 0.0
+        parts = bound.displacement, bound.normal, bound.tangent, bound.tie
+        return max(float(np.max(self.of(name, one), initial=0.0)) for name, one in zip(MEASURED, parts, strict=True))
 
     def of(self, name: str, values: Array) -> Vector:
         """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""

@@ -386,3 +386,17 @@ def test_directions_of_small_slips_of_bodies_that_have_moved_far(far: float) -> 
     found = sliding.derivative("displacement", "load", [1.0, -2.0, 0.0]).value
     expected = np.linalg.solve(K + (np.eye(2) - np.outer(t, t)) / d, [1.0, -2.0])
     assert found == pytest.approx([*expected, 0.0], rel=1e-11, abs=1e-14)
+
+
+def test_rates_that_rounding_alone_tells_apart_are_one() -> None:
+    """A row that turns where nothing moves changes nothing, whichever way the contact that grazes may slip."""
+    K = np.array([[5.0, 1.0, 2.0], [1.0, 7.0, -1.0], [2.0, -1.0, 4.0]])
+    problem = cq.ContactProblem(
+        K, K @ [0.0, 1.0, -1.0], [[2.0, 0.0, 2.0]], [-2.0], tangent=[[0.0, 1.0, 1.0]], friction=0.25
+    )
+    solution = cq.solve(problem)
+    assert solution.contact_status.tolist() == ["grazing"]
+    for of in ("displacement", "normal_force", "friction_force"):
+        found = solution.derivative(of, "rows", [[4.0, 0.0, 0.0]])
+        assert found.exists, found.reason
+        assert found.value == pytest.approx(np.zeros_like(found.value), abs=1e-25)
