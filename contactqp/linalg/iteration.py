@@ -39,8 +39,8 @@ MOST_OPERATIONS, COUPLED = 7e12, 40
 MOST_WITH_FRICTION, MANY_WITH_FRICTION = 1.75e10, 300
 # Entries of the factors of a cube of n unknowns over n^(4/3), measured at 74 000 and 180 000 unknowns with PARDISO.
 ENTRIES_IN_SPACE = 43
-# Factors of fewer bytes fit into any memory.
-LITTLE_MEMORY = 2.0**29
+# Factors of fewer bytes fit into any memory. Unknowns of a node in space.
+LITTLE_MEMORY, AXES = 2.0**29, 3
 # Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
 MANY = 3000
 # A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
@@ -124,7 +124,8 @@ def factors_are_dear(problem: ContactProblem) -> bool:
         return False
     n, of_stiffness = float(problem.dimension), problem._computed.of_stiffness
     if of_stiffness.widest_level is None:
-        of_stiffness.widest_level = widest_level(problem.stiffness_rows) or problem.dimension
+        nodes = problem.stiffness_rows[::AXES][:, ::AXES]  # an unknown of each: a ninth of the entries to search
+        of_stiffness.widest_level = AXES * (widest_level(nodes) or problem.dimension)
     operations = min(operations, n * of_stiffness.widest_level**2)
     needed = min(needed, 8.0 * n * of_stiffness.widest_level)
     return operations > MOST_OPERATIONS or (free is not None and needed > free)
