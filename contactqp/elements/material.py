@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from contactqp.elements.reference_elements import Geometry
-from contactqp.elements.scalars import positive_number, real_number
+from contactqp.elements.scalars import moderate_number, real_number
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array
@@ -41,10 +41,6 @@ _DERIVATIVES = {
     "3d": ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 0, 1), (3, 1, 0), (4, 1, 2), (4, 2, 1), (5, 0, 2), (5, 2, 0)),
 }
 HOOP = 2
-
-
-# Moduli whose products and quotients doubles hold.
-LEAST_MODULUS = 1e-120
 
 
 @checks
@@ -76,12 +72,7 @@ class Material:
     name: str = "material"
 
     def __post_init__(self) -> None:
-        modulus = positive_number(self.name, self.modulus, "modulus")
-        if not LEAST_MODULUS <= modulus <= 1 / LEAST_MODULUS:
-            raise InvalidProblem(
-                f"{self.name}: expected a modulus from {LEAST_MODULUS:g} to {1 / LEAST_MODULUS:g}, got {modulus:g}; "
-                "state it in another unit"
-            )
+        moderate_number(self.name, self.modulus, "modulus")
         real_number(f"{self.name}: Poisson's ratio", self.poisson)
         if not -1 < self.poisson < 0.5:
             raise InvalidProblem(f"{self.name}: expected Poisson's ratio between -1 and 0.5, got {self.poisson}")

@@ -76,6 +76,29 @@ def positive_number(what: str, value: Any, kind: str) -> float:
     return float(number)
 
 
+# Moduli, tensions and thicknesses whose products and quotients doubles hold.
+LEAST_MODERATE = 1e-120
+
+
+def moderate_number(what: str, value: float, kind: str) -> float:
+    """Return one number from 1e-120 to 1e120; `kind` is what it measures: ``"modulus"``.
+
+    Raises
+    ------
+    InvalidProblem
+
+    >>> moderate_number("membrane", 2.0, "tension")
+    2.0
+    """
+    number = positive_number(what, value, kind)
+    if not LEAST_MODERATE <= number <= 1 / LEAST_MODERATE:
+        raise InvalidProblem(
+            f"{what}: expected a {kind} from {LEAST_MODERATE:g} to {1 / LEAST_MODERATE:g}, got {number:g}; "
+            "state it in another unit"
+        )
+    return number
+
+
 Number = Fraction | float
 # Object arrays hold Fractions, float arrays hold floats; NumPy's types cannot tell the two apart.
 Numbers = NDArray[Any]

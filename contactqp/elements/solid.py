@@ -34,7 +34,7 @@ from contactqp.elements.reference_elements import (
     tetrahedron,
     triangle,
 )
-from contactqp.elements.scalars import positive_number, real_array
+from contactqp.elements.scalars import moderate_number, real_array
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
@@ -63,14 +63,14 @@ class Body(ReadOnly):
         ``"plane-strain"``, ``"plane-stress"``, ``"axisymmetric"`` (x is the radius, y the axis; all forces and the
         stiffness are those of the full circle, 2 pi r) or ``"3d"``.
     thickness : float
-        Of plane bodies [length]. With the default 1 forces are per unit thickness.
+        Of plane bodies, from 1e-120 to 1e120 [length]. With the default 1 forces are per unit thickness.
     name : str
         Used in every message.
 
     Raises
     ------
     InvalidProblem
-        No mesh, no material, a model that does not fit the mesh, a thickness that is not positive or has no meaning,
+        No mesh, no material, a model that does not fit the mesh, a thickness outside its range or without a meaning,
         a negative radius.
 
     Notes
@@ -90,7 +90,7 @@ class Body(ReadOnly):
     def __post_init__(self) -> None:
         if (self.model == "3d") != (self.mesh.dimension == 3):
             raise InvalidProblem(f"{self.name}: a {self.mesh.dimension}D mesh and the model {self.model!r}")
-        positive_number(self.name, self.thickness, "thickness")
+        moderate_number(self.name, self.thickness, "thickness")
         if self.model in ("3d", "axisymmetric") and self.thickness != 1:
             raise InvalidProblem(f"{self.name}: the model {self.model!r} has no thickness, got {self.thickness}")
         if self.model == "axisymmetric" and self.mesh.points[:, 0].min(initial=0.0) < 0:
@@ -372,14 +372,14 @@ class Membrane:
     mesh : Mesh
         In 2D.
     tension : float
-        T > 0, the force per length across any cut [force / length].
+        T from 1e-120 to 1e120, the force per length across any cut [force / length].
     name : str
         Used in every message.
 
     Raises
     ------
     InvalidProblem
-        No mesh, a mesh in 3D, a tension that is not positive.
+        No mesh, a mesh in 3D, a tension outside its range.
     """
 
     mesh: Mesh
@@ -389,7 +389,7 @@ class Membrane:
     def __post_init__(self) -> None:
         if self.mesh.dimension != 2:
             raise InvalidProblem(f"{self.name}: expected a plane mesh for a membrane, got one in 3D")
-        positive_number(self.name, self.tension, "tension")
+        moderate_number(self.name, self.tension, "tension")
 
     @property
     def axes(self) -> str:

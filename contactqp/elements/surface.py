@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from contactqp.elements.scalars import positive_number
+from contactqp.elements.scalars import moderate_number
 from contactqp.errors import InvalidProblem, counted
 from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Array, Index, Mask
@@ -71,7 +71,7 @@ class Surface(ReadOnly):
             object.__setattr__(self, what, read_only(read_whole(f"{self.name}: {what}", getattr(self, what))))
         if self.points.ndim != 2:
             raise InvalidProblem(f"{self.name}: points: expected shape (N, d), got {self.points.shape}")
-        positive_number(f"{self.name}: thickness", self.thickness, "length")
+        moderate_number(f"{self.name}: thickness", self.thickness, "length")
 
     def __repr__(self) -> str:
         return f"Surface({self.name}, {counted('facet', len(self.facets))})"

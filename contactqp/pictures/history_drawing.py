@@ -284,7 +284,8 @@ def _draw_curves(axes: Any, panel: Panel, abscissas: Sequence[Array]) -> None:
         handles += axes.plot(_drawable(x), _drawable(curve.y), gid=curve.label, label=style.plain(curve.label), **look)
     low, high = _range(panel.curves)
     if high - low < FLAT * panel.size:
-        middle, room = (low + high) / 2, 0.05 * panel.size
+        middle = (low + high) / 2
+        room = 0.05 * max(panel.size, FLAT * abs(middle))  # other terms may be far below a gap that stays open
         axes.set_ylim(middle - room, middle + room)
     axes.set_ylabel(panel.label.replace(" [", "\n["), fontsize="small")
     axes.legend(handles=handles, **_BESIDE)
