@@ -11,8 +11,9 @@ where there are many, and refined. Turns that were recognised are known to the d
 K + d on a pattern with zeros has no others.
 
 A motion is stated by the user, or recognised: K has few decimal digits, and the motion is among those of least energy.
-It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, and has signs that
-follow no rule: a spring or a soft bed that holds the body has not, and stays what it is.
+It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, where entries of K
+have as many digits as any has, and has signs that follow no rule: a spring or a soft bed that holds the body has not,
+and stays what it is.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from contactqp.model.arrays import EPS, Array, Indices
 
@@ -38,6 +40,9 @@ SOFT = 1e-4
 WIDESPREAD = 0.25
 # Forces K z of so many roundings of the entries: a motion that is itself known to the digits of K has a few.
 INEXACT = 8.0
+# The part of the entries, in the rows where forces K z are felt, that have all the digits of K, at least: of printed
+# ones nine in ten have. Entries with fewer are exact, and their sums are.
+ALL_DIGITS = 0.5
 # Standard deviations beyond which the energy of a motion is no sum of roundings.
 DEVIATIONS = 4.0
 # Springs push back where they are moved to: of the work z_j (K z)_j of lost digits this part has the other sign.
@@ -92,7 +97,8 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
         Motions that may be rigid; without them they are recognised where K has few digits.
     """
     roundings = []
-    if (digits := _rounding_of_digits(stiffness)) is not None:
+    exact = stated is None and _whole(stiffness.data)
+    if (digits := None if exact else _rounding_of_digits(stiffness)) is not None:
         roundings.append(digits)
     if stated is not None and _noisy(stiffness, stated):
         roundings.append(COARSEST * abs(stiffness))
@@ -170,6 +176,13 @@ def _rounding_of_digits(stiffness: Any) -> Any | None:
     rounding = sp.csr_matrix(stiffness, copy=True)
     rounding.data = half if places is None else np.maximum(half, 0.5 * 10.0**-places)
     return rounding
+
+
+def _whole(entries: Array) -> bool:
+    """Return whether all entries are whole numbers, the largest of them to the last digit."""
+    power = np.floor(np.log10(abs(entries[entries != 0])))
+    largest = entries[entries != 0][power == np.max(power, initial=-1.0)]
+    return bool(np.all(entries == np.round(entries)) and np.any(largest % 10 != 0))
 
 
 def _has_digits(entries: Array, digits: int) -> bool:
@@ -316,19 +329,28 @@ def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, 
     impossible = bool(np.any(np.sum(kept * forces, axis=0) < -np.sum(size, axis=0)))
     # A negative energy is no stiffness's. Turns that are inexact meet elastic forces everywhere: translations tell.
     exact = motions[:, : motions.shape[1] - turns] if turns else kept
-    if not impossible and not (known and _of_lost_digits(body, exact)):
+    if not impossible and not (known and _of_lost_digits(body, weight, exact)):
         return np.zeros((len(kept), 0))
     return np.linalg.qr(motions)[0] if kept.shape[1] == motions.shape[1] else kept
 
 
-def _of_lost_digits(body: Any, motions: Array) -> bool:
-    """Return whether the works z_j (K z)_j of motions (p, r) act at many unknowns with signs that follow no rule."""
+def _of_lost_digits(body: Any, weight: Any, motions: Array) -> bool:
+    """Return whether the works z_j (K z)_j of motions (p, r) act at many unknowns with signs that follow no rule, and
+    where entries have lost digits.
+    """
     work = motions * _forces(body, motions)
     felt = abs(work) > abs(motions) * _of_doubles(body, motions)
-    if np.mean(np.any(felt, axis=1)) < WIDESPREAD:
+    rows = np.any(felt, axis=1)
+    if np.mean(rows) < WIDESPREAD or np.mean(_all_digits(body[rows], weight[rows])) < ALL_DIGITS:
         return False
     irregular = abs(np.sum(work)) <= DEVIATIONS * np.sqrt(2 * np.sum(work**2))
     return bool(irregular and -np.sum(np.minimum(work, 0.0)) >= OTHER_SIGN * np.sum(abs(work)))
+
+
+def _all_digits(body: Any, weight: Any) -> NDArray[np.bool_]:
+    """Return for each entry whether its last digit, of which `weight` holds half a unit, is no zero."""
+    units = np.round(body.data / (2 * weight.data))
+    return np.asarray(units % 10 != 0)
 
 
 def _independent(motions: Array, most: int | None = None) -> Array:
