@@ -35,8 +35,15 @@ from contactqp.model.problem_data import read_array, refuse_not_positive
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, Recovery, certify_given
-from contactqp.oracle.foreign.judging import JudgedContact, contacts_table, judged_contacts, right_answer
+from contactqp.oracle.foreign.judging import (
+    GivenAnswer,
+    JudgedContact,
+    Recovery,
+    certify_given,
+    contacts_table,
+    judged_contacts,
+    right_answer,
+)
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
 # Names listed in a message before it says how many more there are.

@@ -10,7 +10,7 @@ import pytest
 import contactqp as cq
 from contactqp.oracle.diagnosis import evidence
 from contactqp.oracle.diagnosis.scales import _proportion
-from contactqp.oracle.foreign.foreign_answer import certify_given
+from contactqp.oracle.foreign.judging import certify_given
 from contactqp.solving.friction.contact_form import ContactForm
 
 K = np.array([[4.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])

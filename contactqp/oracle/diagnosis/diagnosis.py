@@ -28,8 +28,7 @@ from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, E
 from contactqp.oracle.diagnosis.explanations import duplicates, laws, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, missing_parts
-from contactqp.oracle.foreign.judging import EQUALLY_GOOD, JudgedContact, determined_gaps
+from contactqp.oracle.foreign.judging import EQUALLY_GOOD, GivenAnswer, JudgedContact, determined_gaps, missing_parts
 from contactqp.solving.solve import solve
 
 # Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.

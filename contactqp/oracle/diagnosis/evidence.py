@@ -21,7 +21,7 @@ from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, certify_given
+from contactqp.oracle.foreign.judging import GivenAnswer, certify_given
 
 # One thing that is wrong with an answer.
 

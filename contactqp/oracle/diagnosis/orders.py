@@ -14,7 +14,7 @@ from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.diagnosis.scales import named_factor
-from contactqp.oracle.foreign.foreign_answer import GivenAnswer, certify_given
+from contactqp.oracle.foreign.judging import GivenAnswer, certify_given
 
 # Orders that are written out.
 WRITTEN = 12

@@ -11,7 +11,7 @@ import numpy as np
 from contactqp.linalg.dense import unknown_scale
 from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
-from contactqp.oracle.foreign.foreign_answer import certify_given
+from contactqp.oracle.foreign.judging import certify_given
 
 # Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
 

@@ -15,7 +15,7 @@ Both ways multiply rounding: the forces of a stiff body are not known from the d
 displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
 way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
 and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is;
-`foreign_answer.certify_given` takes the completion that passes.
+`judging.certify_given` takes the completion that passes.
 """
 
 from __future__ import annotations
