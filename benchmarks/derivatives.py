@@ -8,7 +8,8 @@ Families of `silently_wrong` and, in the plane, of `friction_random`, problems o
 with lengths and forces in units near 1e-9, 1 and 1e9, powers of two, so that the exact answers are the same. Rates of
 displacements, forces and gaps along random directions of load, gaps, tie values, coefficients, slip origins, stiffness
 and rows are compared on either side with those in Fractions. Exit code 1 if one is off by more than 1e-9 of its size in
-the square root of energy, if a bound is below the error, or if a kink is not seen, or seen where there is none.
+the square root of energy, if a bound is below the error, of a gradient's product with the direction, too, or if a kink
+is not seen, or seen where there is none.
 """
 
 from __future__ import annotations
@@ -150,6 +151,8 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
             if found.exists != true.exists and not 0 < differs <= 2 * SAME * whole:
                 tally.wrong.append(f"{where}: {name} by {parameter}: exists {found.exists}, exactly {true.exists}")
             tally.counts["reaches"] += found.reach is not None and true.reach is not None
+            if true.exists and found.exists:
+                by_gradient(tally, f"{where}: {name} by {parameter}", solution, (name, parameter, direction), true)
             if found.bound is not None:
                 tally.counts["bounds"] += 1
                 exact_errors = [
@@ -159,6 +162,32 @@ def compare(tally: Tally, where: str, problem: cq.ContactProblem, rng: np.random
                 ]
                 if any(exact_errors):
                     tally.wrong.append(f"{where}: {name} by {parameter}: a bound is below the error")
+
+
+def by_gradient(tally: Tally, where: str, solution: cq.Solution, asked: tuple[str, str, Any], true: Any) -> None:
+    """Hold the product of a gradient with the direction, and its bound, against the exact rate of a weighted sum."""
+    name, parameter, direction = asked
+    rate = np.asarray(true.value)
+    weights = np.resize(np.arange(-2, 6) / 3, rate.shape)
+    try:
+        found, bound = solution.pullback(name, weights, parameter, return_bound=True)
+    except cq.InvalidProblem:  # not unique in other directions, or a contact grazes that this one leaves
+        tally.counts["gradients: none"] += 1
+        return
+    if bound is None:
+        tally.counts["gradients without a bound"] += 1
+        return
+    entries = [one.toarray() if sp.issparse(one) else np.asarray(one) for one in (found, bound, direction)]
+    gradient, apart, along = ([Fraction(float(x)) for x in np.broadcast_to(one, entries[0].shape).ravel()]
+                              for one in entries)  # fmt: skip
+    exact = sum(
+        (Fraction(float(w)) * Fraction(x) for w, x in zip(weights.ravel(), rate.ravel(), strict=True)), Fraction()
+    )
+    product = sum((x * d for x, d in zip(gradient, along, strict=True)), Fraction())
+    allowed = sum((x * abs(d) for x, d in zip(apart, along, strict=True)), Fraction())
+    tally.counts["gradients with a bound"] += 1
+    if abs(product - exact) > allowed:
+        tally.wrong.append(f"{where}: the gradient is off by more than its bound")
 
 
 def by_quotients(tally: Tally, where: str, answer: Any, solution: cq.Solution, asked: Any, found: Any) -> None:

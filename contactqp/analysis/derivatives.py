@@ -1,8 +1,7 @@
 """Derivatives of an answer by what its problem is made of, to either side where contacts are at a border.
 
-Rates follow from the states of the contacts (`contactqp.analysis.rates`). A gradient takes the transposed system, with
-weights z on what is asked for in place of the direction: its displacement and forces y are the gradients by load, gaps,
-slip origins and tie values, -(y u' + u y')/2 is that by K.
+Rates follow from the states of the contacts (`contactqp.analysis.rates`), gradients from the transposed system
+(`contactqp.analysis.gradients`).
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Parts, Rates, errors_of
+from contactqp.analysis.gradients import gradient, idle_ties, value_of
+from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Rates, errors_of
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
@@ -24,8 +24,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point, zero_beneath
-from contactqp.model.problem import ContactProblem
+from contactqp.model.arrays import EPS, Vector, own_floating_point, zero_beneath
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
 
@@ -106,8 +105,16 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
 
 @checked
 @own_floating_point
-def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
+def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bool = False) -> Any:
     """Return the derivatives by all entries of a vector parameter, flat: a row an entry of the quantity; `derivative`.
+
+    Parameters
+    ----------
+    solution : Solution
+    of, with_respect_to : str
+        Names of `derivative`.
+    return_bound : bool
+        Whether to return a pair, the matrix and what its entries may be off by, as `Derivative.bound`.
 
     Raises
     ------
@@ -116,27 +123,40 @@ def jacobian(solution: Solution, of: str, with_respect_to: str) -> Array:
     """
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
     size, linearised = np.size(getattr(solution.problem, with_respect_to)), Linearised(solution)
-    rows = np.size(_value(solution, of))
+    rows = np.size(value_of(solution, of))
     adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
     if adjoint and _why_not(linearised, of, with_respect_to) is None:
-        weights = np.eye(rows).reshape(rows, *np.shape(_value(solution, of)))
-        gradients = [np.ravel(_gradient(linearised, of, one, with_respect_to)) for one in weights]
-        return np.array(gradients).reshape(rows, size)
-    columns = []
+        weights, bounded = np.eye(rows), return_bound and _may_be_bounded(linearised)
+        shape = np.shape(value_of(solution, of))
+        found = [gradient(linearised, of, one.reshape(shape), with_respect_to, bounded) for one in weights]
+        pairs = [(one.value, one.error) for one in found]
+        return _matrix(pairs, (rows, size), return_bound)
+    pairs = []
     for unit in np.eye(size):
         direction = unit.reshape(np.shape(getattr(solution.problem, with_respect_to)))
-        found = _along(
+        along = _along(
             linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
         )
-        if found.value is None:
-            raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {found.reason}")
-        columns.append(np.ravel(found.value))
-    return np.column_stack(columns) if columns else np.zeros((rows, 0))
+        if along.value is None:
+            raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {along.reason}")
+        pairs.append((along.value, along.bound))
+    matrix = _matrix(pairs, (size, rows), return_bound)
+    return tuple(None if one is None else one.T for one in matrix) if return_bound else matrix.T
+
+
+def _matrix(rows: list[tuple[Any, Any]], shape: tuple[int, int], return_bound: bool) -> Any:
+    """Return the matrix of some rows, and that of their bounds, None where one is not known, if these are asked for."""
+    values, bounds = ([one[k] for one in rows] for k in (0, 1))
+    matrix = np.array([np.ravel(one) for one in values]).reshape(shape)
+    if not return_bound:
+        return matrix
+    unknown = any(one is None for one in bounds)
+    return matrix, None if unknown else np.array([np.ravel(one) for one in bounds]).reshape(shape)
 
 
 @checked
 @own_floating_point
-def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: str) -> Any:
+def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: str, return_bound: bool = False) -> Any:
     """Return the gradient of weights . quantity by a parameter, in the parameter's shape: one system for all entries.
 
     By the stiffness it is on the pattern of K, symmetric, so that its sum of products with dK is the rate along dK; by
@@ -151,6 +171,9 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
         With what each of its entries counts in the sum.
     with_respect_to : str
         The parameter, a name of `derivative`'s `with_respect_to`.
+    return_bound : bool
+        Whether to return a pair, the gradient and what its entries may be off by, of the same shape: None as
+        `Derivative.bound` is, and where contacts are too many to condense. An answer with friction is proven for it.
 
     Raises
     ------
@@ -158,7 +181,7 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
         A name or shape that is wrong, or a derivative that does not exist.
     """
     _refuse_unknown(solution, of, with_respect_to)
-    expected = np.shape(_value(solution, of))
+    expected = np.shape(value_of(solution, of))
     given = read_array("weights", weights)
     if given.shape != expected or not np.all(np.isfinite(given)):
         raise InvalidProblem(f"weights: expected finite numbers in the shape {expected} of {of}, got {shown(weights)}")
@@ -168,7 +191,15 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
         reason = reason or linearised.borders.without_direction(np.ones(solution.problem.contacts))
     if reason is not None:
         raise InvalidProblem(f"pullback: {reason}")
-    return read_only(_gradient(linearised, of, given, with_respect_to))
+    bounded = return_bound and _may_be_bounded(linearised)
+    found = gradient(linearised, of, given, with_respect_to, bounded)
+    bound = None if found.error is None else read_only(found.error)
+    return (read_only(found.value), bound) if return_bound else read_only(found.value)
+
+
+def _may_be_bounded(linearised: Linearised) -> bool:
+    """Return whether errors have bounds: those of a proven answer whose states are sure and whose slips do not turn."""
+    return linearised.sure and not linearised.turns and _is_proven(linearised.solution)
 
 
 def _refuse_unknown(
@@ -182,12 +213,6 @@ def _refuse_unknown(
     refuse_far_from_one("derivatives", solution.problem, OF_SQUARES)
 
 
-def _value(solution: Solution, of: str) -> Any:
-    """Return the quantity itself."""
-    problem = solution.problem
-    return problem.load - problem.stiffness_rows @ solution.displacement if of == "reaction" else getattr(solution, of)
-
-
 def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction | None = None) -> str | None:
     """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
     if (reason := linearised.irregular) is not None:
@@ -197,7 +222,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if linearised.redundant and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
-    if parameter == "tie_value" and along is None and (idle := _idle_ties(problem)).any():
+    if parameter == "tie_value" and along is None and (idle := idle_ties(problem)).any():
         return f"{problem.tie_name(int(np.argmax(idle)))} acts on nothing that moves, and no displacement has its value"
     motions = _free(linearised.solution)
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
@@ -205,11 +230,6 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
     seen = any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
     return FREE if driven or seen or (motions and of in ("displacement", "slip")) else None
-
-
-def _idle_ties(problem: ContactProblem) -> Mask:
-    """Return which ties (k,) are rows of zeros, whose force is none whatever the parameters."""
-    return np.asarray(abs(problem.tie).sum(axis=1) == 0).ravel()
 
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
@@ -220,7 +240,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     frictional = linearised.problem.frictional
     if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
         rate, error = _rate_of_energy(linearised, direction)
-        bound = error if linearised.sure and _is_proven(linearised.solution) else None
+        bound = error if _may_be_bounded(linearised) else None
         return Derivative(rate, rate, rate, True, bound)
     try:
         back, ahead = linearised.sides(direction)
@@ -231,16 +251,15 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     left, right = (_of_rates(linearised, of, rates, direction)[0] for rates in (back, ahead))
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
-        meet = abs(_value(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
+        meet = abs(value_of(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
         same = abs(left - right) <= SAME * (meet + abs(linearised.solution.displacement) @ abs(direction.load))
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
-    turns = linearised.turns
     if parameter in LINEAR and linearised.has_events:
         reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
     bound = None
     seen = not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
-    if seen and linearised.sure and not turns and _is_proven(linearised.solution):
+    if seen and _may_be_bounded(linearised):
         both = [_of_rates(linearised, of, rates, direction)[1] for rates in (back, ahead)]
         bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
     return Derivative(right if same else None, left, right, same, bound, reach, reason)
@@ -259,7 +278,7 @@ def _energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction)
     du = rates.displacement
     if known is None or known.bound is None or rates.bound is None:
         half = float(-0.5 * solution.displacement @ direction.strained)
-        return float(-_value(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
+        return float(-value_of(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
     answer, off = known.found, known.bound
     taken, error = np.zeros_like(du), np.zeros_like(du)  # what contacts and ties take of each unknown's load
     for rows, force, apart in (
@@ -328,94 +347,6 @@ def _rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float
             moved = abs(rows) @ off.displacement + EPS * terms * (abs(rows) @ abs(u))
             found.append((left, error, np.asarray(rows @ u), moved))
     return _summed(*found)
-
-
-def _gradient(linearised: Linearised, of: str, weights: Array, parameter: str) -> Any:
-    """Return the gradient of weights . quantity by a parameter."""
-    problem, solution = linearised.problem, linearised.solution
-    u, push = solution.displacement, linearised.push
-    if of == "energy" and not problem.frictional:
-        by: dict[str, Any] = dict(load=-u, gap=-push, tie_value=-solution.tie_force)
-        by |= dict(friction=0.0 * push, slip_origin=Direction.zero(problem).slip_origin)
-        if parameter in by:
-            return float(weights) * by[parameter]
-        half = float(weights) * 0.5 * u
-        at_rows = on_entries(problem.normal, ((float(weights) * push, u),))
-        return on_pattern(problem, half, u) if parameter == "stiffness" else at_rows
-    if len(linearised.undecided):
-        raise InvalidProblem(f"pullback: {linearised.at_border()}, and the derivative may have two sides")
-    try:
-        y = linearised.adjoint(_weights(linearised, of, weights))
-    except NoRates as none:
-        raise InvalidProblem(f"the gradient of {of} by {parameter} does not exist: {none}") from None
-    if parameter == "stiffness":
-        own = 0.5 * float(weights) * u if of == "energy" else -weights if of == "reaction" else 0.0 * u
-        return on_pattern(problem, own - y.displacement, u)
-    if parameter == "rows":
-        own = weights if of == "gap" else 0.0 * push
-        return on_entries(problem.normal, ((-push, y.displacement), (-(y.normal + own), u)))
-    if parameter in ("friction", "slip_origin"):
-        return _by_law(linearised, of, weights, parameter, y)
-    found = dict(load=y.displacement, gap=y.normal, tie_value=y.tie)[parameter]
-    if parameter == "load" and of in ("reaction", "energy"):
-        return found + (weights if of == "reaction" else -float(weights) * u)
-    return found + weights if parameter == of == "gap" else found
-
-
-def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
-    """Return the right-hand side of the transposed system: weights of the unknowns of the system."""
-    problem, zero = linearised.problem, Parts.zero(linearised.problem)
-    u, normal, tangent, tie = zero.displacement, zero.normal, zero.tangent, zero.tie
-    if of == "displacement":
-        u = weights
-    elif of == "gap":
-        u = -(problem.normal.T @ weights)
-    elif of == "slip" and problem.tangent is not None:
-        u = problem.tangent.T @ weights.ravel()
-    elif of == "reaction":
-        u = -(problem.stiffness_rows @ weights)
-    elif of == "energy":
-        u = -float(weights) * _value(linearised.solution, "reaction")
-    elif of == "normal_force":
-        normal = weights
-    elif of == "tie_force":
-        tie = np.where(_idle_ties(problem), 0.0, weights)
-    elif linearised.system is not None and problem.tangent is not None and problem.friction is not None:
-        system = linearised.system
-        tangent = weights
-        normal = problem.friction * np.sum(system.directions * weights, axis=1)
-        u = problem.tangent.T @ np.einsum("mij,mj->mi", system.turning, weights).ravel()
-    return Parts(u, normal, tangent, tie)
-
-
-def _by_law(linearised: Linearised, of: str, weights: Array, parameter: str, y: Parts) -> Array:
-    """Return the gradient by coefficients (m,) or slip origins (m, d-1), which enter by Coulomb's law."""
-    problem, system = linearised.problem, linearised.system
-    slip_weights = -weights if of == "slip" and parameter == "slip_origin" else np.zeros_like(y.tangent)
-    if system is None or problem.tangent is None or not problem.frictional:
-        return slip_weights if parameter == "slip_origin" else np.zeros(problem.contacts)
-    dragged = -(problem.tangent @ y.displacement).reshape(y.tangent.shape)
-    dragged = dragged + weights if of == "friction_force" else dragged
-    if parameter == "friction":
-        return np.asarray(linearised.push * np.sum(system.directions * dragged, axis=1))
-    return np.asarray(y.tangent + slip_weights - np.einsum("mij,mj->mi", system.turning, dragged))
-
-
-def on_pattern(problem: ContactProblem, y: Vector, u: Vector) -> Any:
-    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
-    if not sp.issparse(problem.stiffness):
-        return (np.outer(y, u) + np.outer(u, y)) / 2
-    return on_entries(problem.stiffness_rows, ((0.5 * y, u), (0.5 * u, y)))
-
-
-def on_entries(rows: Any, pairs: tuple[tuple[Vector, Vector], ...]) -> Any:
-    """Return the sum of left right' of some pairs on the pattern of CSR rows."""
-    counts, entries = np.diff(rows.indptr), None
-    for left, right in pairs:
-        own = right.take(rows.indices)
-        own *= np.repeat(left, counts)
-        entries = own if entries is None else np.add(entries, own, out=entries)
-    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
 
 
 def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:

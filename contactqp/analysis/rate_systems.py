@@ -81,6 +81,7 @@ class Solved:
     settled: bool  # whether refinement led anywhere
     extended: tuple[Extended, ...] = ()  # displacement, normal, flat tangents and ties in twice double precision
     remainder: float = np.inf  # what further refinement may change of these, in the square root of energy
+    transposed: bool = False  # whether it is of the transposed system
 
 
 def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
@@ -248,7 +249,7 @@ class RateSystem:
         if settled:
             remainder = size * min(contraction * CAUTION, 1.0) / (1 - contraction) + INVISIBLE * whole_size
         done = settled or size <= ENOUGH * whole_size
-        return Solved(found, self._bound(found, remainder), done, tuple(y), remainder)
+        return Solved(found, self._bound(found, remainder), done, tuple(y), remainder, transposed)
 
     def gap(self, solved: Solved, changes: Vector) -> Vector:
         """Return the rates of gaps (m,) whose own changes are given: bodies may move far, and gaps next to nothing."""
@@ -308,28 +309,32 @@ class RateSystem:
         rest_load, rest_gap = rest_load + ROUNDED * abs(load.hi), rest_gap + ROUNDED * abs(gap.hi)
         low = (load - data.displacement).double(), (gap - data.normal).double()
         zero = Parts.zero(problem)
-        more = self.solve(replace(zero, displacement=low[0], normal=low[1]))
-        pairs = [(getattr(solved.found, name), getattr(more.found, name)) for name in vars(zero)]
-        found = Parts(*(one + other for one, other in pairs))
-        last = self._bound(found, self._spread(replace(zero, displacement=rest_load, normal=rest_gap)))
+        rest = replace(zero, displacement=rest_load, normal=rest_gap)
+        found, bound = self.with_more(solved, replace(zero, displacement=low[0], normal=low[1]), rest)
         off = Parts(
             abs((strained - direction.strained).double()) + rest_load, abs(low[1]) + rest_gap,
             abs((lost - own.ravel()).double()).reshape(own.shape) + (abs(direction.friction) * left_push)[:, None],
             zero.tie,
         )  # fmt: skip
-        bounds = (solved.bound, more.bound, last)
-        if any(one is None for one in bounds):
-            return found, None, off
-        return found, Parts(*(sum(getattr(one, name) for one in bounds) for name in vars(zero))), off
+        return found, bound, off
 
-    def _spread(self, rest: Parts) -> float:
+    def with_more(self, solved: Solved, low: Parts, rest: Parts) -> tuple[Parts, Parts | None]:
+        """Return a solution with what its data in doubles lack, and its bound where the sum is off by up to `rest`."""
+        more = self.solve(low, solved.transposed)
+        found = Parts(*(getattr(solved.found, name) + getattr(more.found, name) for name in vars(low)))
+        bounds = solved.bound, more.bound, self._bound(found, self._spread(rest, solved.transposed))
+        if any(one is None for one in bounds):
+            return found, None
+        return found, Parts(*(sum(getattr(one, name) for one in bounds) for name in vars(low)))
+
+    def _spread(self, rest: Parts, transposed: bool) -> float:
         """Return what data up to these sizes may change of a solution, by those of random signs."""
         rng, largest = np.random.default_rng(0), 0.0
         if not (rest.displacement.any() or rest.normal.any()):
             return 0.0
         for _ in range(PROBES):
             signed = Parts(*(part * rng.choice([-1.0, 1.0], part.shape) for part in vars(rest).values()))
-            found = self._system.correct(self._on_own_rows(signed), False)
+            found = self._system.correct(self._on_own_rows(signed), transposed)
             largest = max(largest, self._size((found.displacement, found.normal, found.tangent.ravel(), found.tie)))
         return ALIKE * float(np.sqrt(rest.displacement.size + rest.normal.size)) * largest
 

@@ -274,9 +274,7 @@ class Linearised:
         return self.redundant and bool(changes or direction.rows is not None)
 
     def adjoint(self, weights: Parts) -> Parts:
-        """Return the solution of the transposed system; nothing is at a border."""
-        if self.system is not None:
-            return self.system.solve(weights, transposed=True).found
+        """Return the solution of the transposed system where nothing is condensed or at a border, without friction."""
         zero = Direction.zero(self.problem)
         found = self._by_problem(
             Direction(**(vars(zero) | dict(load=weights.displacement, gap=weights.normal, tie_value=weights.tie)))

@@ -434,14 +434,14 @@ class Solution(ReadOnly, HoldsAnswer):
         """Return the rate of a quantity along a direction: `contactqp.analysis.derivatives.derivative`."""
         return import_module("contactqp.analysis.derivatives").derivative(self, of, with_respect_to, direction)
 
-    def jacobian(self, of: str, with_respect_to: str) -> Array:
+    def jacobian(self, of: str, with_respect_to: str, return_bound: bool = False) -> Any:
         """Return the derivatives by all entries of a parameter: `contactqp.analysis.derivatives.jacobian`."""
-        found: Array = import_module("contactqp.analysis.derivatives").jacobian(self, of, with_respect_to)
-        return found
+        return import_module("contactqp.analysis.derivatives").jacobian(self, of, with_respect_to, return_bound)
 
-    def pullback(self, of: str, weights: Any, with_respect_to: str) -> Any:
+    def pullback(self, of: str, weights: Any, with_respect_to: str, return_bound: bool = False) -> Any:
         """Return the gradient of weights . quantity by a parameter: `contactqp.analysis.derivatives.pullback`."""
-        return import_module("contactqp.analysis.derivatives").pullback(self, of, weights, with_respect_to)
+        module = import_module("contactqp.analysis.derivatives")
+        return module.pullback(self, of, weights, with_respect_to, return_bound)
 
     def plot(self, file: str | Path | None = None, **options: Any) -> Any:
         """Draw the answer, into a file if one is given, and return the figure: `contactqp.draw(self, file, ...)`."""

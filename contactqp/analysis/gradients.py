@@ -1,0 +1,291 @@
+"""Gradients of what is made of an answer, by all entries of a parameter at once, and bounds of their errors.
+
+A gradient of weights z . quantity takes the transposed system of the rates, with z on the quantity in place of the
+direction. Its displacement and forces y are the gradients by load, gaps, slip origins and tie values; that by K is
+-(y u' + u y')/2, on the pattern of K, and those by rows and coefficients are such products, too.
+
+Bounds are those of rates. Weights on a gap, a slip, a reaction or the energy come to the system by products with rows
+or the stiffness: what doubles lack of these is solved for. Products of y with the answer take both from the same
+refinement, and every number carries what it may be off by (`Estimate`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.rate_systems import ROUNDED, Direction, Parts
+from contactqp.analysis.rates import SINGULAR, Linearised, NoRates
+from contactqp.errors import InvalidProblem
+from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
+from contactqp.model.arrays import EPS, Array, Mask, Vector
+from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """An array, and what its entries may be off by, entry by entry; None where that is not asked for or not known."""
+
+    value: Array
+    error: Array | None
+
+    @classmethod
+    def exactly(cls, value: Any) -> Estimate:
+        """Return numbers that are what they are."""
+        return cls(np.asarray(value, dtype=float), np.zeros(np.shape(value)))
+
+    def __add__(self, other: Estimate) -> Estimate:
+        value = self.value + other.value
+        if self.error is None or other.error is None:
+            return Estimate(value, None)
+        return Estimate(value, _rounded(self.error + other.error, value))
+
+    def __neg__(self) -> Estimate:
+        return Estimate(-self.value, self.error)
+
+    def __mul__(self, other: Estimate) -> Estimate:
+        value = self.value * other.value
+        if self.error is None or other.error is None:
+            return Estimate(value, None)
+        error = abs(self.value) * other.error + self.error * abs(other.value) + self.error * other.error
+        return Estimate(value, _rounded(error, value))
+
+    def summed(self) -> Estimate:
+        """Return the sums of rows."""
+        value, width = self.value.sum(axis=1), self.value.shape[1]
+        if self.error is None:
+            return Estimate(value, None)
+        return Estimate(value, _rounded(self.error.sum(axis=1), width * abs(self.value).sum(axis=1)))
+
+    def on(self, rows: Any) -> Estimate:
+        """Return the product of a matrix with a vector."""
+        value = np.asarray(rows @ self.value)
+        if self.error is None:
+            return Estimate(value, None)
+        sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 3
+        return Estimate(value, _rounded(sizes @ self.error, terms * (sizes @ abs(self.value))))
+
+
+def _rounded(error: Array, size: Array) -> Array:
+    """Return an error with the rounding of numbers of a size, and its own."""
+    return np.asarray(error * (1 + 8 * EPS) + EPS * abs(size))
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimates:
+    """The parts of an answer, or of a solution of the transposed system."""
+
+    displacement: Estimate
+    normal: Estimate
+    tangent: Estimate
+    tie: Estimate
+
+    @classmethod
+    def of(cls, found: Parts, bound: Parts | None) -> _Estimates:
+        errors = [None] * 4 if bound is None else vars(bound).values()
+        return cls(*(Estimate(value, error) for value, error in zip(vars(found).values(), errors, strict=True)))
+
+
+def gradient(linearised: Linearised, of: str, weights: Array, parameter: str, bounded: bool = False) -> Estimate:
+    """Return the gradient of weights . quantity by a parameter, and its bound where that is asked for and known.
+
+    That by stiffness or rows has sparse matrices of their pattern in the places of arrays.
+
+    Parameters
+    ----------
+    linearised : the answer and the systems of its rates
+    of, weights, parameter : as in `contactqp.analysis.derivatives.pullback`
+    bounded : whether errors are asked for
+
+    Raises
+    ------
+    InvalidProblem
+        The derivative has two sides, or does not exist.
+    """
+    problem = linearised.problem
+    answer, given = _answer(linearised, bounded), Estimate.exactly(weights)
+    u, push = answer.displacement, answer.normal
+    if of == "energy" and not problem.frictional:
+        if parameter == "stiffness":
+            return on_pattern(problem, Estimate.exactly(0.5 * weights) * u, u)
+        if parameter == "rows":
+            return on_entries(problem.normal, ((given * push, u),))
+        zero = Estimate.exactly(np.zeros_like(push.value)), Estimate.exactly(Direction.zero(problem).slip_origin)
+        by = dict(load=-u, gap=-push, tie_value=-answer.tie, friction=zero[0], slip_origin=zero[1])
+        return given * by[parameter]
+    if len(linearised.undecided):
+        raise InvalidProblem(f"pullback: {linearised.at_border()}, and the derivative may have two sides")
+    try:
+        y = _adjoint(linearised, of, weights, bounded)
+    except NoRates as none:
+        raise InvalidProblem(f"the gradient of {of} by {parameter} does not exist: {none}") from None
+    if parameter == "stiffness":
+        own = Estimate.exactly(0.5 * weights) * u if of == "energy" else Estimate.exactly(-weights)
+        return on_pattern(problem, own + -y.displacement if of in ("energy", "reaction") else -y.displacement, u)
+    if parameter == "rows":
+        forced = y.normal + given if of == "gap" else y.normal
+        return on_entries(problem.normal, ((-push, y.displacement), (-forced, u)))
+    if parameter in ("friction", "slip_origin"):
+        return _by_law(linearised, of, given, parameter, push, y)
+    found = dict(load=y.displacement, gap=y.normal, tie_value=y.tie)[parameter]
+    if parameter == "load" and of in ("reaction", "energy"):
+        return found + (given if of == "reaction" else -(given * u))
+    return found + given if parameter == of == "gap" else found
+
+
+def value_of(solution: Solution, of: str) -> Any:
+    """Return the quantity itself."""
+    problem = solution.problem
+    return problem.load - problem.stiffness_rows @ solution.displacement if of == "reaction" else getattr(solution, of)
+
+
+def idle_ties(problem: ContactProblem) -> Mask:
+    """Return which ties (k,) are rows of zeros, whose force is none whatever the parameters."""
+    return np.asarray(abs(problem.tie).sum(axis=1) == 0).ravel()
+
+
+def _answer(linearised: Linearised, bounded: bool) -> _Estimates:
+    """Return the answer, in doubles or, with bounds, as its refinement knows it."""
+    solution, known = linearised.solution, linearised.extended_answer if bounded else None
+    if known is not None and known.bound is not None:
+        return _Estimates.of(known.found, known.bound)
+    tangent = Parts.zero(linearised.problem).tangent
+    return _Estimates.of(Parts(solution.displacement, linearised.push, tangent, solution.tie_force), None)
+
+
+def _adjoint(linearised: Linearised, of: str, weights: Array, bounded: bool) -> _Estimates:
+    """Return the solution of the transposed system.
+
+    Raises NoRates: refinement led nowhere.
+    """
+    given, system = _weights(linearised, of, weights), linearised.system
+    if system is None:
+        return _Estimates.of(linearised.adjoint(given), None)
+    solved = system.solve(given, transposed=True)
+    if not solved.settled:
+        raise NoRates(SINGULAR)
+    if not bounded:
+        return _Estimates.of(solved.found, None)
+    if of in ("displacement", "normal_force", "tie_force"):
+        return _Estimates.of(solved.found, solved.bound)
+    whole = _whole_weights(linearised, of, weights)
+    if whole is None:
+        return _Estimates.of(solved.found, None)
+    exact, rest = whole
+    u, normal = (whole - part for whole, part in zip(exact, (given.displacement, given.normal), strict=True))
+    low = replace(Parts.zero(linearised.problem), displacement=u.double(), normal=normal.double())
+    return _Estimates.of(*system.with_more(solved, low, rest))
+
+
+def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
+    """Return the right-hand side of the transposed system: weights of the unknowns of the system."""
+    problem, zero = linearised.problem, Parts.zero(linearised.problem)
+    u, normal, tangent, tie = zero.displacement, zero.normal, zero.tangent, zero.tie
+    if of == "displacement":
+        u = weights
+    elif of == "gap":
+        u = -(problem.normal.T @ weights)
+    elif of == "slip" and problem.tangent is not None:
+        u = problem.tangent.T @ weights.ravel()
+    elif of == "reaction":
+        u = -(problem.stiffness_rows @ weights)
+    elif of == "energy":
+        u = -float(weights) * value_of(linearised.solution, "reaction")
+    elif of == "normal_force":
+        normal = weights
+    elif of == "tie_force":
+        tie = np.where(idle_ties(problem), 0.0, weights)
+    elif linearised.system is not None and problem.tangent is not None and problem.friction is not None:
+        system = linearised.system
+        tangent = weights
+        normal = problem.friction * np.sum(system.directions * weights, axis=1)
+        u = problem.tangent.T @ np.einsum("mij,mj->mi", system.turning, weights).ravel()
+    return Parts(u, normal, tangent, tie)
+
+
+def _whole_weights(linearised: Linearised, of: str, weights: Array) -> tuple[tuple[Extended, Extended], Parts] | None:
+    """Return weights of displacements and normal forces in twice double precision, and what these are off by.
+
+    None where the answer is not known so far. Friction and slips have directions that do not turn.
+    """
+    problem, zero = linearised.problem, Parts.zero(linearised.problem)
+    exact, u, normal = extended_rows(problem), extend(zero.displacement), extend(zero.normal)
+    rest, size = zero.displacement, abs(weights)
+    if of == "gap":
+        u, rest = exact.contact_force(extend(-weights), extend(zero.tie)), abs(problem.normal).T @ size
+    elif of == "slip" and problem.tangent is not None:
+        u, rest = exact.friction_force(extend(weights.ravel())), abs(problem.tangent).T @ size.ravel()
+    elif of == "reaction":
+        u, rest = -(exact.stiffness @ extend(weights)), problem.stiffness_sizes @ size
+    elif of == "energy":
+        known = linearised.extended_answer
+        if known is None or not np.isfinite(known.remainder):
+            return None
+        reaction = extend(problem.load) - exact.stiffness @ known.extended[0]
+        u = reaction.spread(np.full((len(reaction), 1), -float(weights)))
+        whole = abs(known.extended[0].hi)
+        unknown = known.remainder * unknown_scale(problem) / ROUNDED + whole
+        rest = float(size) * (abs(problem.load) + problem.stiffness_sizes @ unknown)
+    elif linearised.system is not None and problem.friction is not None:
+        along = np.sum(linearised.system.directions * weights, axis=1)
+        normal = Extended(*two_product(problem.friction, along))
+    return (u, normal), replace(zero, displacement=ROUNDED * rest)
+
+
+def _by_law(
+    linearised: Linearised, of: str, given: Estimate, parameter: str, push: Estimate, y: _Estimates
+) -> Estimate:
+    """Return the gradient by coefficients (m,) or slip origins (m, d-1), which enter by Coulomb's law.
+
+    Parameters
+    ----------
+    linearised, of, parameter : as in `gradient`
+    given : the weights
+    push, y : the contact forces (m,), and the solution of the transposed system
+    """
+    problem, system = linearised.problem, linearised.system
+    none = Estimate.exactly(np.zeros_like(y.tangent.value))
+    slip_weights = -given if of == "slip" and parameter == "slip_origin" else none
+    if system is None or problem.tangent is None or not problem.frictional:
+        return slip_weights if parameter == "slip_origin" else Estimate.exactly(np.zeros(problem.contacts))
+    moved, shape = -y.displacement.on(problem.tangent), y.tangent.value.shape
+    dragged = Estimate(moved.value.reshape(shape), None if moved.error is None else moved.error.reshape(shape))
+    dragged = dragged + given if of == "friction_force" else dragged
+    if parameter == "friction":
+        return push * (Estimate.exactly(system.directions) * dragged).summed()
+    turned = np.einsum("mij,mj->mi", system.turning, dragged.value)
+    return y.tangent + slip_weights + Estimate(-turned, None if system.turning.any() else none.error)
+
+
+def on_pattern(problem: ContactProblem, y: Estimate, u: Estimate) -> Estimate:
+    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
+    half = Estimate.exactly(0.5)
+    pairs = (half * y, u), (half * u, y)
+    return on_entries(problem.stiffness_rows if sp.issparse(problem.stiffness) else None, pairs)
+
+
+def on_entries(rows: Any, pairs: tuple[tuple[Estimate, Estimate], ...]) -> Estimate:
+    """Return the sum of left right' of some pairs on the pattern of CSR rows, or everywhere where these are None."""
+    value, errors = _products(rows, [(left.value, right.value) for left, right in pairs]), []
+    for left, right in pairs:
+        if left.error is None or right.error is None:
+            return Estimate(value, None)
+        apart = _rounded(left.error, len(pairs) * left.value), _rounded(right.error, right.value)
+        errors += [(apart[0], abs(right.value) + apart[1]), (abs(left.value), apart[1])]
+    return Estimate(value, _products(rows, errors))
+
+
+def _products(rows: Any, pairs: list[tuple[Vector, Vector]]) -> Any:
+    if rows is None:
+        return np.sum([np.outer(left, right) for left, right in pairs], axis=0)
+    counts, entries = np.diff(rows.indptr), None
+    for left, right in pairs:
+        own = right.take(rows.indices)
+        own *= np.repeat(left, counts)
+        entries = own if entries is None else np.add(entries, own, out=entries)
+    return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
