@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.coulomb_law import contact_entries, vector_measure
 from contactqp.certificate.figures import energy_norm, response
-from contactqp.certificate.number_range import near_one
+from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import Conflict
@@ -232,17 +232,17 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     """Return a certificate in whose errors of the forces those count that the law makes zero.
 
     Other bounds compare with an answer that has none, and do not see them. They are measured by the energy of the
-    bodies' response, beside that of the contact forces and the strain; where the bodies are not condensed by |D E'l|
-    with D = 1/sqrt(K_jj).
+    bodies' response, beside that of the contact forces and the strain, in units in which the problem's numbers are near
+    one; where the bodies are not condensed by |D E'l| with D = 1/sqrt(K_jj).
     """
     load, push, friction = forces_without_law(problem, answer)
     if certificate.violations is None or not load.any():
         return certificate
-    rows = acting_rows(problem)
-    acting, theirs = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
-    size, pushed, strain = _energies(acting, theirs, load)
+    near = near_one(problem)
+    seen, theirs, unit = (problem, answer, 0) if near is None else (near.problem, near.answer(answer), near.length)
+    size, pushed, strain = _energies(seen, theirs)
     scale = max(pushed, strain)
-    if size <= NOTHING_BY_DEFAULT * certificate.violations.intrinsic_size:
+    if size <= NOTHING_BY_DEFAULT * np.ldexp(certificate.violations.intrinsic_size, -unit):
         return certificate
     part = size / scale if scale > 0 else np.inf
     failures = certificate.failures
@@ -265,11 +265,19 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     )
 
 
-def _energies(problem: ContactProblem, answer: Answer, load: Vector) -> tuple[float, float, float]:
-    """Return sizes of the response to a load, to the contact forces, and of the displacement [root of energy]."""
+def _energies(problem: ContactProblem, answer: Answer) -> tuple[float, float, float]:
+    """Return sizes of the response to the forces that the law makes zero, to all others, and of the displacement.
+
+    The numbers of the problem are near one; the sizes are roots of energies.
+    """
+    load = forces_without_law(problem, answer)[0]
+    if not (np.isfinite(load).all() and abs(load).max() <= ABSURD):
+        return np.inf, 0.0, 0.0
+    rows = acting_rows(problem)
+    problem, answer = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
     push = problem.normal.T @ answer.normal_force
     strain, _ = energy_norm(problem, extend(answer.displacement))
-    if systems_of(problem) is not Systems.CONDENSED or near_one(problem) is not None:
+    if systems_of(problem) is not Systems.CONDENSED:
         return float(np.linalg.norm(problem.own_scale * load)), float(np.linalg.norm(problem.own_scale * push)), strain
     condensation = condense(problem)
     found = []

@@ -70,11 +70,20 @@ def test_products_by_threads_are_those_of_one(block: int | None, monkeypatch: py
 
 
 @needs_pardiso
-def test_a_matrix_that_the_library_does_not_take_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("block", [None, 3])
+def test_what_the_library_does_not_take_is_refused(block: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An operation that no version of MKL knows, and a status from making the matrix: versions differ in what they
+    refuse there.
+    """
     monkeypatch.setattr(pardiso, "MANY_ENTRIES", 1)
-    monkeypatch.setattr(pardiso, "BLOCKS_BY_ROWS", 7)
-    with pytest.raises(BackendFailed, match="status"):
-        products(a_matrix(3))
+    with monkeypatch.context() as changed:
+        changed.setattr(pardiso, "NOT_TRANSPOSED", 7)
+        product = products(a_matrix(block))
+        with pytest.raises(BackendFailed, match="status 3 "):
+            product(np.ones(1800))
+    monkeypatch.setattr(pardiso._library(), f"mkl_sparse_d_create_{'csr' if block is None else 'bsr'}", lambda *_: 2)
+    with pytest.raises(BackendFailed, match="status 2 "):
+        products(a_matrix(block))
 
 
 def dots(some: Any, b: Any) -> Any:
