@@ -82,3 +82,4 @@ class Computed:
     judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
     of_answer: OfAnswer = field(default_factory=OfAnswer)
     contact_operator: Any = None  # solving.friction.contact_form
+    held_against: Any = None  # oracle.foreign.judging: right answers that answers to the last problem are held against

@@ -91,14 +91,15 @@ def test_units_of_rows_do_not_hide_a_force_that_the_law_makes_zero(force: float)
     scaled = plain.replace(normal=plain.normal.toarray() * unit[:, None], gap=plain.gap * unit)
     u, right = (solution := cq.solve(plain)).displacement, solution.normal_force
     assert cq.certify(scaled, u, (right + np.array([0.0, 1e-9])) / unit).passed
-    here, there = (cq.certify(plain, u, right + [0, force]), cq.certify(scaled, u, (right + [0, force]) / unit))
+    pushed = right + np.array([0.0, force])
+    here, there = cq.certify(plain, u, pushed), cq.certify(scaled, u, pushed / unit)
     assert refused_for_its_force(there)
     assert there.force_error == pytest.approx(here.force_error, rel=1e-6)
 
 
 def test_an_absurd_force_that_the_law_makes_zero_is_refused() -> None:
     """In units of its row it is beyond all doubles."""
-    problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -2.0**900)]), gap=[1.0, np.inf])
+    problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -(2.0**900))]), gap=[1.0, np.inf])
     solution = cq.solve(problem)
     certificate = cq.certify(problem, solution.displacement, solution.normal_force + np.array([0.0, 1e200]))
     assert not certificate.passed
@@ -198,28 +199,6 @@ def test_gaps_that_count_as_nothing_beside_others_are_told() -> None:
     assert "the gap of contact 1, 0.2, is not told from zero" in hidden[0]
     near = problem.replace(gap=[0.0, 0.2, 0.0, 0.3])
     assert not any("not told from zero" in note for note in cq.solve(near).certificate.notes)
-
-
-@pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
-def test_units_of_rows_do_not_hide_a_force_that_the_law_makes_zero(force: float) -> None:
-    """Rows scaled so far that the problem is judged in units of its own: the verdict, and the error, stay the same."""
-    unit = np.array([2.0**400, 2.0**-300])
-    plain = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -1.0)]), gap=[1.0, np.inf])
-    scaled = plain.replace(normal=plain.normal.toarray() * unit[:, None], gap=plain.gap * unit)
-    u, right = (solution := cq.solve(plain)).displacement, solution.normal_force
-    assert cq.certify(scaled, u, (right + np.array([0.0, 1e-9])) / unit).passed
-    here, there = (cq.certify(plain, u, right + [0, force]), cq.certify(scaled, u, (right + [0, force]) / unit))
-    assert refused_for_its_force(there)
-    assert there.force_error == pytest.approx(here.force_error, rel=1e-6)
-
-
-def test_an_absurd_force_that_the_law_makes_zero_is_refused() -> None:
-    """In units of its row it is beyond all doubles."""
-    problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -2.0**900)]), gap=[1.0, np.inf])
-    solution = cq.solve(problem)
-    certificate = cq.certify(problem, solution.displacement, solution.normal_force + np.array([0.0, 1e200]))
-    assert not certificate.passed
-    assert "contact 1" in " ".join(certificate.failures)
 
 
 @pytest.mark.parametrize("force", [STRAY, 1e-2])

@@ -206,3 +206,21 @@ def test_inexact_forces_are_no_pressures() -> None:
     judged = cq.certify(problem, displacement=right.displacement, normal_force=force)
     assert not judged.passed
     assert "pressure" not in [finding.kind for finding in judged.findings]
+
+
+def test_other_questions_are_answered_once_for_each_problem(
+    right: cq.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second answer to a problem is held against what the first was, and one under another load is not."""
+    asked: list[str] = []
+    solved = diagnosis._solved
+    monkeypatch.setattr(diagnosis, "_solved", lambda *each: asked.append(each[1].text) or solved(*each))
+    problem, heavier = right.problem, right.problem.replace(load=3.0 * right.problem.load)
+    for given, there in ((problem, heavier), (heavier, problem), (problem, heavier)):
+        asked.clear()
+        touching = cq.solve(given.replace(gap=0 * given.gap))
+        for _ in range(2):
+            assert "gap-ignored" in causes(cq.certify(given, touching.displacement, touching.normal_force))
+        assert asked
+        assert len(asked) == len(set(asked))
+        assert "gap-ignored" not in causes(cq.certify(there, touching.displacement, touching.normal_force))

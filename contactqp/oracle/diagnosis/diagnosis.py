@@ -28,7 +28,14 @@ from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, E
 from contactqp.oracle.diagnosis.explanations import duplicates, laws, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales
-from contactqp.oracle.foreign.judging import EQUALLY_GOOD, GivenAnswer, JudgedContact, determined_gaps, missing_parts
+from contactqp.oracle.foreign.judging import (
+    EQUALLY_GOOD,
+    GivenAnswer,
+    JudgedContact,
+    determined_gaps,
+    held_against,
+    missing_parts,
+)
 from contactqp.solving.solve import solve
 
 # Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
@@ -78,19 +85,19 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
     problem = evidence.problem
     if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
+    D, balanced, allowed = balance(evidence)
     for question in _questions(evidence):
         if other_rows(problem, question) and too_large(problem):
             continue
-        if unbalanced(evidence, question.problem.load):
+        if float(np.max(abs(D * question.problem.load - balanced), initial=0.0)) > allowed:
             continue
         if evidence.effort.exhausted:
             evidence.effort.unasked.append(question.kind)
             continue
         evidence.effort.spent += predicted_operations(question.problem, other_rows(problem, question))
-        try:
-            answer = _answered(problem, question)
-        except ContactQPError as error:  # absence is proven soon where there is no friction; all else was tried in vain
-            proven = isinstance(error, NoEquilibrium) and not question.problem.frictional
+        answer = _answered(problem, question)
+        if isinstance(answer, ContactQPError):  # absence is proven soon without friction; all else was tried in vain
+            proven = isinstance(answer, NoEquilibrium) and not question.problem.frictional
             evidence.effort.spent += 0.0 if proven else HOPELESS
             continue
         left = evidence.apart(evidence.given, answer)
@@ -98,36 +105,46 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
             yield Explanation(Finding(question.kind, question.text, True), left)
 
 
-def unbalanced(evidence: Evidence, load: Vector) -> bool:
-    """Return whether a complete answer is too far from equilibrium with a load to be near any that balances it.
+def balance(evidence: Evidence) -> tuple[Vector, Vector, float]:
+    """Return D = 1/sqrt(K_jj), D times the load (n,) that a complete answer balances, and how near to it loads must be.
 
-    With D = 1/sqrt(K_jj), |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough
-    to be an explanation has D^-1 du and the forces within LEFT of theirs.
+    |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough to be an explanation has
+    D^-1 du and the forces within LEFT of theirs. Every load is near where a part of the answer was not given.
     """
-    problem, given = evidence.problem, evidence.given
+    problem, given, D = evidence.problem, evidence.given, unknown_scale(evidence.problem)
     if evidence.recovered or given.displacement is None:
-        return False
-    D = unknown_scale(problem)
+        return D, np.zeros(problem.dimension), np.inf
     answer = given.filled(problem)
-    inner = problem.stiffness @ answer.displacement
-    r = D * (load - inner - problem.normal.T @ answer.normal_force - problem.tie.T @ answer.tie_force)
+    balanced = problem.stiffness @ answer.displacement
+    balanced = balanced + problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
     rows = np.asarray(abs(sp.csr_matrix(problem.stiffness)) @ D) * D
     size = float(np.max(rows, initial=0.0)) * float(np.max(abs(answer.displacement) / D, initial=0.0))
     parts = [(problem.normal, answer.normal_force), (problem.tie, answer.tie_force)]
     if problem.tangent is not None and answer.friction_force is not None:
         friction_force = answer.friction_force.ravel()
-        r = r - D * (problem.tangent.T @ friction_force)
+        balanced = balanced + problem.tangent.T @ friction_force
         parts.append((problem.tangent, friction_force))
     largest = 0.0
     for matrix, force in parts:
         weight = np.sqrt(np.asarray(matrix.multiply(matrix) @ D**2).ravel())
         largest = max(largest, float(np.max(weight * abs(force), initial=0.0)))
     count = sum(int(np.max(np.diff(sp.csc_matrix(matrix).indptr), initial=0)) for matrix, _ in parts)
-    return float(np.max(abs(r), initial=0.0)) > 2 * LEFT * (size + count * largest)
+    return D, np.asarray(D * balanced), 2 * LEFT * (size + count * largest)
 
 
-def _answered(problem: ContactProblem, question: Question) -> Answer:
-    """Return the right answer to the other question, as one to this problem."""
+def _answered(problem: ContactProblem, question: Question) -> Answer | ContactQPError:
+    """Return the right answer to the other question, as one to this problem, or why there is none; found once."""
+    answers = held_against(problem).others
+    key = (question.text, *(None if which is None else which.tobytes() for which in (question.kept, question.held)))
+    if key not in answers:
+        try:
+            answers[key] = _solved(problem, question)
+        except ContactQPError as error:
+            answers[key] = error.with_traceback(None)
+    return answers[key]
+
+
+def _solved(problem: ContactProblem, question: Question) -> Answer:
     found = solve(question.problem, max_iter=STEPS_WITH_FRICTION if question.problem.frictional else None)
     if question.kept is None and question.held is None:
         return Answer(found.displacement, found.normal_force, _friction(problem, found, None), _ties(problem, found, 0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -142,12 +142,30 @@ def certify_given(
     return first
 
 
+@dataclass(eq=False)
+class HeldAgainst:
+    """The right answers to a problem and to the questions that stand beside it, found once for all that is judged."""
+
+    problem: ContactProblem
+    solution: Solution | None = None
+    others: dict[Any, Answer | ContactQPError] = field(default_factory=dict)  # oracle.diagnosis: by question
+
+
+def held_against(problem: ContactProblem) -> HeldAgainst:
+    """Return what answers to this problem are held against; it is kept for the last problem of these matrices."""
+    kept = problem._computed.held_against
+    if kept is None or kept.problem is not problem:
+        kept = problem._computed.held_against = HeldAgainst(problem)
+    return kept  # type: ignore[no-any-return]
+
+
 def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     """Return a certified solution; of several equilibria the one nearest to the answer, in the energy scale.
 
     Raises ContactQPError: there is none, or none was found.
     """
-    found = solve(problem)
+    kept = held_against(problem)
+    found = kept.solution = kept.solution or solve(problem)
     others = found.certificate.uniqueness
     plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
     if not (SEVERAL in others or POSSIBLE in others) or not all_finite(answer):
