@@ -166,7 +166,7 @@ def _adjoint(linearised: Linearised, of: str, weights: Array, bounded: bool) -> 
     given, system = _weights(linearised, of, weights), linearised.system
     if system is None:
         return _Estimates.of(linearised.adjoint(given), None)
-    solved = system.solve(given, transposed=True)
+    solved = system.solve(given, True, bounded)
     if not solved.settled:
         raise NoRates(SINGULAR)
     if not bounded:

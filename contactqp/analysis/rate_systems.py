@@ -215,16 +215,17 @@ class RateSystem:
             for rows in (problem.normal, problem.tangent, problem.tie)
         ]
 
-    def solve(self, right: Parts, transposed: bool = False) -> Solved:
-        """Return the solution of the system, or of the transposed one.
+    def solve(self, right: Parts, transposed: bool = False, bounded: bool = True) -> Solved:
+        """Return the solution of the system, or of the transposed one, which is refined for a bound.
 
-        Where the answer's own refinement has told what a substitution leaves, that of a large body is not refined for
-        a gradient if it leaves little, ten thousand times as much allowed.
+        Without one that of a large body is not refined for a gradient where the answer's own refinement has told that
+        a substitution leaves little, ten thousand times as much allowed.
         """
         given = (right.displacement, right.normal, right.tangent, right.tie)
         y = [Extended(np.zeros(part.size)) for part in given]
         last, contraction, size = np.inf, 1.0, 0.0
-        foreseen = self._system.contraction if transposed and len(right.displacement) > LARGE else None
+        once = transposed and not bounded and len(right.displacement) > LARGE
+        foreseen = self._system.contraction if once else None
         for sweep in range(MAX_SWEEPS):
             left = self._on_own_rows(right) if sweep == 0 else self._residual(right, y, transposed)
             change = self._system.correct(left, transposed)

@@ -69,7 +69,7 @@ from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
 FREE = "bodies are free to move, and their displacements are not unique"
-REDUNDANT = "contacts that touch are redundant, and share their forces in many ways"
+REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.

@@ -207,6 +207,9 @@ def test_what_has_no_derivative_says_why() -> None:
         touch.jacobian("gap", "load")
     twice = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [1.0]], [1.0, 1.0]))
     assert "redundant" in twice.derivative("normal_force", "load", [1.0]).reason
+    tied = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0]], [3.0], tie=[[1.0], [1.0]], tie_value=[1.0, 1.0]))
+    assert tied.contact_status.tolist() == ["open"]
+    assert "or ties, are redundant" in tied.derivative("tie_force", "load", [1.0]).reason
     assert twice.derivative("displacement", "load", [1.0]).value == pytest.approx([0.0])
     floating = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0], [[1.0, 0.0]], [0.5])
     assert cq.solve(floating).derivative("displacement", "load", [0.0, 1.0]).value == pytest.approx([0.0, 1.0])
@@ -259,6 +262,9 @@ def test_a_gradient_of_a_large_body_is_one_substitution(monkeypatch: pytest.Monk
         monkeypatch.undo()
         assert 0 < 2 * once <= often
         assert gradient == pytest.approx(refined, abs=1e-12 * np.max(abs(refined)))
+        found, bound = solution.pullback(of, weights, "load", return_bound=True)  # refined as far as it goes
+        assert abs(found @ direction - weights @ rate.value) <= bound @ abs(direction) + abs(weights) @ rate.bound
+        assert np.max(bound) <= 1e-12 * np.max(abs(found))
 
 
 @pytest.mark.slow

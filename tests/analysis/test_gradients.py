@@ -167,8 +167,8 @@ def test_a_system_whose_refinement_leads_nowhere_has_no_gradient(monkeypatch: py
     solution = cq.solve(drawn(np.random.default_rng(2), 0.25))
     solve = RateSystem.solve
 
-    def lost(self: RateSystem, right: Any, transposed: bool = False) -> Any:
-        solved = solve(self, right, transposed)
+    def lost(self: RateSystem, right: Any, transposed: bool = False, bounded: bool = True) -> Any:
+        solved = solve(self, right, transposed, bounded)
         return type(solved)(solved.found, None, False)
 
     monkeypatch.setattr(RateSystem, "solve", lost)

@@ -55,7 +55,7 @@ MOST = 1024
 CANNOT = "contacts that touch, and ties, cannot change their gaps and values so"
 DRIVEN = "the direction drives a motion that nothing holds"
 FREE = "bodies are free to move, and their displacements are not unique"
-REDUNDANT = "contacts that touch are redundant, and their forces are not unique"
+REDUNDANT = "contacts that touch, or ties, are redundant, and their forces are not unique"
 SINGULAR = "in a combination of states that may come the rates are not unique"
 SMOOTH = "no contact has friction: rates by coefficients are those of problems that have some"
 
