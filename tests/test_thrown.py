@@ -181,7 +181,9 @@ def facing(draw: Draw, pairing: Callable[..., Any]) -> Callable[[], Any]:
 
 def truss(draw: Draw) -> cq.NonlinearTruss:
     d = draw(st.sampled_from([1, 2, 3]))
-    nodes = np.eye(3, d) * draw(finite) + (arrays(draw, 3, d) if draw(st.booleans()) else 0.0)
+    size, moved = draw(finite), arrays(draw, 3, d) if draw(st.booleans()) else 0.0
+    with np.errstate(all="ignore"):
+        nodes = np.eye(3, d) * size + moved
     law = draw(st.sampled_from(["green", "engineering", "logarithmic", "hencky"]))
     return cq.NonlinearTruss(nodes, [[0, 1], [1, 2]], draw(number), draw(number), law)
 

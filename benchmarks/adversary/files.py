@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import sys
 import tempfile
 import warnings
@@ -22,8 +23,11 @@ from contactqp.cli import main
 
 CASES = Path(__file__).parents[2] / "cases"
 # Cases of a few unknowns, and the commands that take them; answers in milliseconds.
-SMALL = ("bar_wall.toml", "seed_2_18.toml", "beam_on_stops.toml")
+SMALL = ("bar_wall.toml", "klarbring_push_first.toml", "von_mises_truss.toml", "bar_impact.toml", "stacked_blocks.toml")
 COMMANDS = (("run",), ("explain",), ("oracle",), ("run", "--json"), ("oracle", "--json"))
+# Numerals in a case file, and what one of them becomes: any size that a double has, and sizes that none has.
+NUMERAL = re.compile(rb"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")
+SIZES = (b"0", b"-1", b"5e-324", b"1e-308", b"1e-200", b"1e-30", b"1e30", b"1e200", b"1.7e308", b"1e400", b"9" * 400)
 # Mutated files of one trial, and of formats that are read in a process of their own; the slowest of these take seconds
 # a file, and come one at a time in so many of all trials.
 FILES, OWN_PROCESS = 20, 4
@@ -133,7 +137,7 @@ class Files:
         original = (CASES / str(rng.choice(names))).read_bytes()
         file = self.folder / "case.toml"
         for _ in range(FILES):
-            changed, what = mutate(original, rng)
+            changed, what = mutate(original, rng) if rng.random() < 0.5 else _of_any_size(original, rng)
             file.write_bytes(changed)
             command = COMMANDS[int(rng.integers(0, len(COMMANDS)))]
             piped = rng.random() < 0.3
@@ -166,6 +170,16 @@ class Files:
             with tempfile.TemporaryDirectory() as folder:
                 places = {"WORD": word, "FOLDER": folder, "CASE": str(CASES / "bar_wall.toml")}
                 _judge_command(judge, [_filled(part, places) for part in command], repr(word[:20]), b"")
+
+
+def _of_any_size(original: bytes, rng: Generator) -> tuple[bytes, str]:
+    """A case file in which one or two numbers are of another size."""
+    found, what = list(NUMERAL.finditer(original)), []
+    for at in sorted(rng.choice(len(found), int(rng.integers(1, 3)), replace=False), reverse=True):
+        size = SIZES[int(rng.integers(0, len(SIZES)))]
+        original = original[: found[at].start()] + size + original[found[at].end() :]
+        what.append(f"number {at} is {size[:9].decode()}")
+    return original, ", ".join(what)
 
 
 def _filled(part: str, places: dict[str, str]) -> str:
