@@ -34,6 +34,7 @@ from contactqp.certificate.critical_friction import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.model.arrays import Array, Indices, Mask, Vector
@@ -41,6 +42,8 @@ from contactqp.model.coulomb import OPEN, STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Violations
 
+# Contacts with friction up to which bounds are looked for in every answer to a case: less than half of its solution.
+MOST_PROVEN = 200
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5
 # Each system that leaves something free takes some linear programs.
@@ -53,6 +56,11 @@ ROUNDING = 1e-13
 NOTHING = 1e-12
 # Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
 SAME = 1e-6
+
+
+def proves_friction(problem: ContactProblem) -> bool:
+    """Return whether bounds with friction take less than half of the solution: of few contacts that are condensed."""
+    return problem.frictional and problem.contacts <= MOST_PROVEN and systems_of(problem) is Systems.CONDENSED
 
 
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:

@@ -17,9 +17,12 @@ import numpy as np
 from contactqp.analysis import is_motion
 from contactqp.analysis.history import Energies, Event, History
 from contactqp.analysis.large.deformation import LargeHistory, LargeSolution, LimitPoint, Snap
+from contactqp.certificate.certificate import certificate_of
+from contactqp.certificate.uniqueness import proves_friction
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.errors import SceneError
 from contactqp.model.arrays import Array
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.scene import building
 from contactqp.scene.building import ExactProblem, NodeModel
@@ -116,6 +119,21 @@ def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Even
                 (closed.add if event.kind == "closed" else closed.discard)(event.contact)
         if bool(closed) != was:
             yield Event("closed" if closed else "opened", contacts[0], time)
+
+
+def with_bounds(history: History) -> Solution:
+    """Return the last solution of a history; with friction its errors are bounded where that costs a part of the solve.
+
+    The steps of a motion are proven by the problems that its scheme poses for them.
+    """
+    last = history[-1]
+    problem, given = last.problem, last.certificate
+    done = given.proven or not given.passed or is_motion(history)
+    if done or type(problem) is not ContactProblem or not proves_friction(problem):
+        return last
+    proven = certificate_of(problem, last.answer, given.tolerance, given.error_tolerance, prove_friction=True)
+    notes = tuple(dict.fromkeys((*given.notes, *proven.notes)))
+    return replace(last, certificate=replace(proven, notes=notes)) if proven.proven else last
 
 
 @dataclass(frozen=True, eq=False)

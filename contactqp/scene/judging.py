@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from contactqp.errors import (
 )
 from contactqp.linalg.runtime import SERIAL, engine_named
 from contactqp.model.solution import Solution
-from contactqp.scene.answers import Answer, Instant
+from contactqp.scene.answers import Answer, Instant, with_bounds
 from contactqp.scene.building import NodeModel
 from contactqp.scene.claims import KNOBS, Claim, Expectation, Published
 from contactqp.scene.geometry import warn_of_unpushed
@@ -90,10 +91,10 @@ class Judgement:
     expectations: tuple[Comparison, ...]
     published: tuple[Comparison, ...]
 
-    @property
+    @cached_property
     def solution(self) -> Solution:
-        """Return the solution at the end of the load path, or under the full load."""
-        return self.history[-1]
+        """Return the solution at the end of the load path, or under the full load, proven with friction, too."""
+        return with_bounds(self.history)
 
     @property
     def met(self) -> bool:

@@ -189,10 +189,32 @@ def test_a_verdict_that_does_not_hold_is_exit_1(capsys, tmp_path):
 
 
 def test_what_a_verdict_rests_on_is_printed_and_written(capsys):
-    rough = str(CASES / "truss_friction.toml")
-    assert "certificate passed, not proven (friction)" in " ".join(run(capsys, "run", rough)[1].split())
+    rough, critical = (str(CASES / f"{name}.toml") for name in ("truss_friction", "klarbring_limit_press_first"))
+    for case, verdict in ((rough, "error bounds proven"), (critical, "not proven (friction)")):
+        assert f"certificate passed, {verdict}" in " ".join(run(capsys, "run", case)[1].split())
     written = [json.loads(run(capsys, "run", case, "--json")[1])[0] for case in (rough, WALL)]
     assert [one["certificate"]["basis"] for one in written] == ["state", "bounds"]
+
+
+# Frictional cases, and of what their error bounds are proven: of the only answer, of the only one nearby, or of none
+# where others are at the same load, or at one as near as rounding.
+PROVEN = {
+    "truss_friction": "global", "truss_friction_overload": "global", "truss_friction_unloaded": "global",
+    "truss_friction_horizontal_first": "global", "truss_friction_vertical_first": "global", "truss_rough": "global",
+    "two_masses": "global", "wedge": "global", "jenkins_loop": "global", "sliding_block_stops": "global",
+    "truss_dragged": "global", "pad_on_incline": "global", "block_on_incline_sideways": "global",
+    "corner_triangle": "local", "klarbring_press_first": "local", "klarbring_slides_back": "local",
+    "cattaneo_mindlin_cylinder": "local", "hanging_block": None, "klarbring_limit_press_first": None,
+}  # fmt: skip
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("case", PROVEN)
+def test_answers_to_frictional_cases_are_proven_where_they_are_the_only_ones(capsys, case):
+    certificate = json.loads(run(capsys, "run", CASES / f"{case}.toml", "--json")[1])[0]["certificate"]
+    assert certificate["passed"]
+    assert certificate["proven"] is (PROVEN[case] is not None)
+    assert certificate["scope"] == PROVEN[case]
 
 
 def test_json_holds_the_same(capsys):

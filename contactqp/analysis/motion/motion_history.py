@@ -16,6 +16,7 @@ from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import AT_REST, StepProblem, StepResult
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
+from contactqp.certificate.uniqueness import proves_friction
 from contactqp.errors import ContactQPError, Unsupported, counted
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, Mask, Vector
@@ -173,7 +174,8 @@ def _solution_at(motion: Motion, k: int) -> Moving:
         problem = problem.replace(slip_origin=problem.tangent @ before)
     step, found = _step_problem(motion, k)
     dragged = None if step.slip_origin is None else _shaped(found.friction, step)
-    certificate = certificate_of(step, Answer(found.unknown, found.normal, dragged, found.tie))
+    answer = Answer(found.unknown, found.normal, dragged, found.tie)
+    certificate = certificate_of(step, answer, prove_friction=proves_friction(step))
     if k and not certificate.passed:
         certificate = _of_nearest_answer(motion, k, step, found) or certificate
     status = contact_status(step, certificate)
