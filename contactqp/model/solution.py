@@ -439,7 +439,12 @@ class Solution(ReadOnly, HoldsAnswer):
         return import_module("contactqp.analysis.derivatives").jacobian(self, of, with_respect_to, return_bound)
 
     def pullback(self, of: str, weights: Any, with_respect_to: str, return_bound: bool = False) -> Any:
-        """Return the gradient of weights . quantity by a parameter: `contactqp.analysis.derivatives.pullback`."""
+        """Return the gradient of weights . quantity by a parameter.
+
+        Parameters
+        ----------
+        of, weights, with_respect_to, return_bound : as in `contactqp.analysis.derivatives.pullback`
+        """
         module = import_module("contactqp.analysis.derivatives")
         return module.pullback(self, of, weights, with_respect_to, return_bound)
 
