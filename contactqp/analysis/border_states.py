@@ -14,15 +14,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import (
-    SAME,
-    Direction,
-    Parts,
-    Rates,
-    RateSystem,
-    errors_of,
-    shape_of_tangents,
-)
+from contactqp.analysis.rate_data import Direction, Parts, Rates, errors_of, shape_of_tangents
+from contactqp.analysis.rate_systems import SAME, RateSystem
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale

@@ -15,7 +15,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.gradients import gradient, idle_ties, value_of
-from contactqp.analysis.rate_systems import SAME, VECTORS, Direction, Rates, errors_of
+from contactqp.analysis.rate_data import VECTORS, Direction, Rates, errors_of
+from contactqp.analysis.rate_systems import SAME
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
@@ -49,9 +50,9 @@ class Derivative(ReadOnly):
     `left` and `right` are towards minus and plus the direction; `value` is both where they are one, else None, and
     `reason` says why. `reach` are the steps (back, ahead) along the direction, not negative, within which no contact
     changes its state; None where the answer is not linear along it, as for the stiffness and in space where something
-    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer, None in
-    space where something slips; its rounding allowance is that of certificates. An answer
-    with friction is proven, as by `contactqp.certify`, when it is first asked.
+    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer; its
+    rounding allowance is that of certificates. An answer with friction is proven, as by `contactqp.certify`, when it is
+    first asked.
     """
 
     value: Any
@@ -198,8 +199,8 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
 
 
 def _may_be_bounded(linearised: Linearised) -> bool:
-    """Return whether errors have bounds: those of a proven answer whose states are sure and whose slips do not turn."""
-    return linearised.sure and not linearised.turns and _is_proven(linearised.solution)
+    """Return whether errors have bounds: those of a proven answer whose states and turns of slips are sure."""
+    return linearised.has_bounds and _is_proven(linearised.solution)
 
 
 def _refuse_unknown(

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_systems import ROUNDED, Direction, Parts
+from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, times
 from contactqp.analysis.rates import SINGULAR, Linearised, NoRates
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.dense import unknown_scale
-from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
+from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
@@ -179,7 +179,8 @@ def _adjoint(linearised: Linearised, of: str, weights: Array, bounded: bool) -> 
     exact, rest = whole
     u, normal = (whole - part for whole, part in zip(exact, (given.displacement, given.normal), strict=True))
     low = replace(Parts.zero(linearised.problem), displacement=u.double(), normal=normal.double())
-    return _Estimates.of(*system.with_more(solved, low, rest))
+    more = system.with_more(solved, low, rest)
+    return _Estimates.of(more.found, more.bound)
 
 
 def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
@@ -211,7 +212,7 @@ def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
 def _whole_weights(linearised: Linearised, of: str, weights: Array) -> tuple[tuple[Extended, Extended], Parts] | None:
     """Return weights of displacements and normal forces in twice double precision, and what these are off by.
 
-    None where the answer is not known so far. Friction and slips have directions that do not turn.
+    None where the answer is not known so far.
     """
     problem, zero = linearised.problem, Parts.zero(linearised.problem)
     exact, u, normal = extended_rows(problem), extend(zero.displacement), extend(zero.normal)
@@ -231,9 +232,12 @@ def _whole_weights(linearised: Linearised, of: str, weights: Array) -> tuple[tup
         whole = abs(known.extended[0].hi)
         unknown = known.remainder * unknown_scale(problem) / ROUNDED + whole
         rest = float(size) * (abs(problem.load) + problem.stiffness_sizes @ unknown)
-    elif linearised.system is not None and problem.friction is not None:
-        along = np.sum(linearised.system.directions * weights, axis=1)
-        normal = Extended(*two_product(problem.friction, along))
+    elif linearised.system is not None and problem.tangent is not None:
+        law, given = linearised.system.law, extend(weights.ravel())
+        normal, u = times(Extended(law.coefficient), law.along(given)), exact.friction_force(law.turned(given))
+        turned = np.repeat(law.error_of_turned(weights), weights.shape[1])
+        lacks = law.error_of_dragged(np.linalg.norm(weights, axis=1)) + ROUNDED * law.coefficient * size.sum(axis=1)
+        return (u, normal), replace(zero, displacement=abs(problem.tangent).T @ turned, normal=lacks)
     return (u, normal), replace(zero, displacement=ROUNDED * rest)
 
 
@@ -256,10 +260,15 @@ def _by_law(
     moved, shape = -y.displacement.on(problem.tangent), y.tangent.value.shape
     dragged = Estimate(moved.value.reshape(shape), None if moved.error is None else moved.error.reshape(shape))
     dragged = dragged + given if of == "friction_force" else dragged
+    law = system.law
     if parameter == "friction":
-        return push * (Estimate.exactly(system.directions) * dragged).summed()
-    turned = np.einsum("mij,mj->mi", system.turning, dragged.value)
-    return y.tangent + slip_weights + Estimate(-turned, None if system.turning.any() else none.error)
+        rounded = system.turns * EPS * np.ones(shape) + law.off[:, None]
+        return push * (Estimate(system.directions, rounded) * dragged).summed()
+    turned = law.turned(extend(dragged.value.ravel())).double().reshape(shape)
+    if dragged.error is None:
+        return y.tangent + slip_weights + Estimate(-turned, None)
+    lacks = law.turns.hi * np.linalg.norm(dragged.error, axis=1) + law.error_of_turned(dragged.value)
+    return y.tangent + slip_weights + Estimate(-turned, lacks[:, None] + EPS * abs(turned))
 
 
 def on_pattern(problem: ContactProblem, y: Estimate, u: Estimate) -> Estimate:

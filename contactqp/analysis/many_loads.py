@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from contactqp.analysis.derivatives import QUANTITIES, pullback
 from contactqp.analysis.load_cases import STATUS, LoadCases, Solutions
-from contactqp.analysis.rate_systems import VECTORS
+from contactqp.analysis.rate_data import VECTORS
 from contactqp.certificate.bounds import REDUNDANT
 from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.number_range import near_one

@@ -14,26 +14,25 @@ they refine answers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, SlipLaw, Solved, shape_of_tangents, times
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows, two_product
-from contactqp.linalg.friction_states import StateSystem, friction_bound, slip_directions
+from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
+from contactqp.linalg.friction_states import StateSystem, slip_directions
 from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import AnswerOf
 
-# Parameters that are vectors, or one for each direction of slip.
-VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
 # Rates that differ by this part of the largest, in the square root of energy, are one.
@@ -41,116 +40,11 @@ SAME = 1e-9
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
 # gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
-# What sums of products in twice double precision are off by, as parts of their terms.
-ROUNDED = 2.0**-92
 # Solutions for data of random signs are of the size that those of the worst signs have over the root of their number;
 # so many of them, and so many times as much, are taken.
 PROBES, ALIKE = 3, 16.0
 # Of fewer unknowns, whose factors are dense or nearly so, refinement costs next to nothing.
 LARGE = 2000
-
-
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """A part for each unknown (n,), contact (m,), its tangents (m, d-1) and tie (k,): data, or a solution of them."""
-
-    displacement: Vector
-    normal: Vector
-    tangent: Array
-    tie: Vector
-
-    @classmethod
-    def of(cls, found: AnswerOf[Vector, Array]) -> Parts:
-        """Return an answer, or a change of one, as such parts."""
-        return cls(found.displacement, found.normal_force, found.friction_force, found.tie_force)
-
-    @classmethod
-    def zero(cls, problem: ContactProblem) -> Parts:
-        return cls(
-            np.zeros(problem.dimension), np.zeros(problem.contacts), np.zeros(shape_of_tangents(problem)),
-            np.zeros(problem.ties),
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A solution in doubles, and what it may be off by for each part; None where that is not known."""
-
-    found: Parts
-    bound: Parts | None
-    settled: bool  # whether refinement led anywhere
-    extended: tuple[Extended, ...] = ()  # displacement, normal, flat tangents and ties in twice double precision
-    remainder: float = np.inf  # what further refinement may change of these, in the square root of energy
-    transposed: bool = False  # whether it is of the transposed system
-
-
-def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
-    """Return (m, d-1), or (m, 0) without tangential rows."""
-    origin = problem.slip_origin
-    return (problem.contacts, 0) if origin is None else (problem.contacts, origin.shape[1])
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """A direction of what a problem is made of, and what it means at an answer."""
-
-    load: Vector  # (n,)
-    gap: Vector  # (m,)
-    slip_origin: Array  # (m, d-1)
-    tie_value: Vector  # (k,)
-    friction: Vector  # (m,)
-    strained: Vector  # (n,) -dK u
-    turned: Vector  # (n,) -dE_N'l_N
-    closing: Vector  # (m,) -dE_N u
-    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
-    driven: float = 0.0  # not zero where it drives motions that nothing resists, or resists them
-    rows: Any = None  # (m, n) dE_N, of a direction of the rows
-    stiffness: Any = None  # (n, n) dK, of a direction of the stiffness
-
-    @classmethod
-    def zero(cls, problem: ContactProblem) -> Direction:
-        n, m = problem.dimension, problem.contacts
-        return cls(
-            np.zeros(n), np.zeros(m), np.zeros(shape_of_tangents(problem)), np.zeros(problem.ties), np.zeros(m),
-            np.zeros(n), np.zeros(n), np.zeros(m),
-        )  # fmt: skip
-
-    @property
-    def whole_load(self) -> Vector:
-        """Return the load (n,) that the rates see."""
-        return self.load + self.strained + self.turned
-
-    @property
-    def whole_gap(self) -> Vector:
-        """Return the gaps (m,) that the rates see."""
-        return self.gap + self.closing
-
-    @property
-    def by_answer(self) -> bool:
-        """Return whether the data of the rates are products with the answer, so that they have its rounding."""
-        return self.stiffness is not None or self.rows is not None or bool(self.friction.any())
-
-    def reversed(self) -> Direction:
-        turned: dict[str, Any] = {name: None if value is None else -value for name, value in vars(self).items()}
-        return Direction(**turned)
-
-
-@dataclass(frozen=True, eq=False)
-class Rates(AnswerOf[Vector, Array]):
-    """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
-
-    gap: Vector  # (m,)
-    slip: Array  # (m, d-1)
-    reaction: Vector  # (n,)
-    status: Status  # (m,) the states that contacts are in along the direction
-    bound: Parts | None = None
-    shared: bool = False  # whether contacts that close along the direction share their forces in many ways
-    off: Parts | None = None  # what data that the answer makes are off by: -dK u, whole gaps, own friction
-
-    def reversed(self) -> Rates:
-        """Return the rates towards minus a direction from those along its reverse."""
-        kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared, off=self.off)
-        return Rates(**{name: 0.0 - value for name, value in vars(self).items() if name not in kept}, **kept)
 
 
 class _System(Protocol):
@@ -163,15 +57,9 @@ class _System(Protocol):
     def correct(self, left: Parts, transposed: bool) -> Parts:
         """Return a solution in double precision."""
 
-    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
-        """Return what the rows of normals hold, from E_N u and E_T u."""
 
-    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
-        """Return the friction (m (d-1),) of contacts that slip."""
-
-
-# A solution, its bound, and what its data are off by; None where that is not known.
-_Completed: TypeAlias = tuple[Parts, Parts | None, Parts | None]
+# A solution, what its data are off by or None where that is not known, and friction where slips turn.
+Completed: TypeAlias = tuple[Solved, Parts | None, Array | None]
 
 
 class RateSystem:
@@ -189,7 +77,9 @@ class RateSystem:
     status : (m,) array of int, the combination
     regular : bool, whether the system has one solution for all data
     redundant : bool, whether rows depend on others, so that forces are not unique
+    turns : bool, whether slips in space turn their friction
     across : contacts in space that begin to slip (q,), and what is across their friction (q, 2), held by the last ties
+    law : SlipLaw, of the contacts that slip; that of doubles until `answer` has told what these lack
     """
 
     across: tuple[NDArray[np.intp], Array] | None = None
@@ -197,19 +87,24 @@ class RateSystem:
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         self._problem, self._exact, self.status = problem, extended_rows(problem), status
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        self._unit = condensation.unknown_scale
+        self._unit, self._answer = condensation.unknown_scale, answer
         with_friction = problem.frictional
         self._system: _System
         if with_friction:
             frictional = _Frictional(problem, condensation, status, answer)
             self._system, self.regular, self.redundant = frictional, frictional.regular, False
-            self.directions, self.turning = frictional.directions, frictional.turning
+            self.directions, self.turning, turns = frictional.directions, frictional.turning, frictional.turns
         else:
             plain = _Frictionless(problem, condensation, self.closed)
             self._system, self.redundant = plain, plain.redundant
             self.regular = not plain.redundant
             self.directions = np.zeros(shape_of_tangents(problem))
             self.turning = np.zeros((*self.directions.shape, self.directions.shape[1]))
+            turns = np.zeros(problem.contacts)
+        coefficient = np.zeros(problem.contacts) if problem.friction is None else problem.friction
+        self.law = SlipLaw.of_doubles(coefficient, self.directions, turns)
+        slides = (status != OPEN) & (status != STICK) & (coefficient > 0)
+        self.turns = with_friction and self.directions.shape[1] > 1 and bool(slides.any())
         self._sizes = [
             np.sqrt(sp.csr_array(rows).power(2) @ self._unit**2) if rows is not None else np.zeros(0)
             for rows in (problem.normal, problem.tangent, problem.tie)
@@ -222,13 +117,38 @@ class RateSystem:
         a substitution leaves little, ten thousand times as much allowed.
         """
         given = (right.displacement, right.normal, right.tangent, right.tie)
-        y = [Extended(np.zeros(part.size)) for part in given]
-        last, contraction, size = np.inf, 1.0, 0.0
+
+        def left(y: list[Extended], sweep: int) -> Parts:
+            friction = None if sweep == 0 else self._friction(y, transposed)
+            return self._on_own_rows(right) if friction is None else self._residual(right, y, transposed, friction)
+
         once = transposed and not bounded and len(right.displacement) > LARGE
         foreseen = self._system.contraction if once else None
+        solved = self._refined([Extended(np.zeros(part.size)) for part in given], left, transposed, foreseen)
+        if not (bounded and self.law.off.any() and np.isfinite(solved.remainder)):
+            return solved
+        remainder = solved.remainder + self._spread(self._rest_of_law(solved.found, transposed), transposed)
+        return replace(solved, bound=self._bound(solved.found, remainder), remainder=remainder)
+
+    def _refined(
+        self,
+        y: list[Extended],
+        left: Callable[[list[Extended], int], Parts],
+        transposed: bool,
+        foreseen: float | None = None,
+    ) -> Solved:
+        """Refine a solution until what is left of it, as a function of it and of the sweep, tells nothing more.
+
+        Parameters
+        ----------
+        y : the start: displacement, normal forces, flat tangents and ties
+        left : what it leaves of the data, in doubles
+        transposed : whether the system is the transposed one
+        foreseen : the contraction where one sweep is enough if that is small
+        """
+        last, contraction, size = np.inf, 1.0, 0.0
         for sweep in range(MAX_SWEEPS):
-            left = self._on_own_rows(right) if sweep == 0 else self._residual(right, y, transposed)
-            change = self._system.correct(left, transposed)
+            change = self._system.correct(left(y, sweep), transposed)
             parts = (change.displacement, change.normal, change.tangent.ravel(), change.tie)
             y = [whole + part for whole, part in zip(y, parts, strict=True)]
             size, whole_size = self._size(parts), self._size([part.double() for part in y])
@@ -243,7 +163,7 @@ class RateSystem:
         u, normal, tangent, tie = zero_beneath(
             [part.double() for part in y], (1.0 / self._unit, *self._sizes), INVISIBLE * whole_size
         )
-        found = Parts(u, normal, tangent.reshape(right.tangent.shape), tie)
+        found = Parts(u, normal, tangent.reshape(self.directions.shape), tie)
         contraction = max(contraction, EPS)
         settled = contraction < 0.5
         remainder = np.inf
@@ -261,20 +181,62 @@ class RateSystem:
         return zero_beneath([found], [per], INVISIBLE * whole)[0]
 
     def answer(self) -> Solved:
-        """Return the answer where no slip turns, solution for the problem's own data, with the friction of slips."""
+        """Return the answer, solution for the problem's own data, with the friction of slips.
+
+        In space that is by Newton's method, from the answer in doubles, and `law` is then that of the solution.
+        """
         problem, origin = self._problem, self._problem.slip_origin
         gap = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
-        slip = Parts.zero(problem).tangent if origin is None else origin
-        solved = self.solve(Parts(problem.load, gap, slip, problem.tie_value))
+        data = Parts(problem.load, gap, Parts.zero(problem).tangent if origin is None else origin, problem.tie_value)
+        solved = self._newton(data) if self.turns else self.solve(data)
         if problem.friction is None or not problem.frictional or solved.bound is None:
             return solved
-        found, bound, dragged = solved.found, solved.bound, problem.friction[:, None] * self.directions
-        tangent = found.tangent + dragged * found.normal[:, None]
-        apart = bound.tangent + abs(dragged) * bound.normal[:, None] + 2 * EPS * abs(tangent)
+        found, bound = solved.found, solved.bound
+        dragged = self.law.dragged(extend(found.normal)).double().reshape(self.directions.shape)
+        apart = problem.friction * bound.normal + self.law.error_of_dragged(found.normal)
+        tangent = found.tangent + dragged
+        apart = bound.tangent + apart[:, None] + 2 * EPS * abs(tangent)
         return replace(solved, found=replace(found, tangent=tangent), bound=replace(bound, tangent=apart))
 
-    def completed(self, solved: Solved, data: Parts, own: Array, direction: Direction, known: Solved) -> _Completed:
-        """Return a solution for data that the answer makes, its bound, and what these data are off by.
+    def _newton(self, data: Parts) -> Solved:
+        """Return the answer to the problem's data where slips turn, and keep its law; no bound where that is none."""
+        problem, start, origin = self._problem, self._answer, data.tangent.ravel()
+        assert problem.tangent is not None
+        coefficient = self.law.coefficient
+
+        def slip_of(u: Extended) -> Extended:
+            return self._exact.slip(u) - origin
+
+        def left(y: list[Extended], sweep: int) -> Parts:
+            del sweep
+            none = np.zeros(problem.contacts)
+            law = SlipLaw.at(coefficient, self.status, slip_of(y[0]), y[1], none, none)
+            return self._residual(data, y, False, law.dragged(y[1]))
+
+        push, sticks = np.where(self.status != OPEN, start.normal, 0.0), np.zeros(self.directions.size)
+        first = [Extended(one) for one in (start.displacement, push, sticks, start.tie)]
+        solved = self._refined(first, left, False)
+        if not np.isfinite(solved.remainder):
+            return solved
+        u, normal = solved.extended[:2]
+        moved = solved.remainder * self._unit + ROUNDED * abs(u.hi)
+        off_slip = (abs(problem.tangent) @ moved + ROUNDED * abs(origin)).reshape(self.directions.shape)
+        off_push = self._forces(solved.remainder, 0) + ROUNDED * abs(normal.hi)
+        law = SlipLaw.at(
+            coefficient, self.status, slip_of(u), normal, np.linalg.norm(off_slip, axis=1), off_push
+        )  # fmt: skip
+        if not law.is_known:
+            return replace(solved, bound=None, remainder=np.inf)
+        self.law = law
+        return solved
+
+    def _forces(self, remainder: float, which: int) -> Vector:
+        """Return what a remainder in the square root of energy is of normal, tangential or tie forces."""
+        size = self._sizes[which]
+        return np.divide(remainder, size, out=np.zeros_like(size), where=size > 0)
+
+    def completed(self, solved: Solved, data: Parts, own: Array, direction: Direction, known: Solved) -> Completed:
+        """Return a solution for data that the answer makes, what these data are off by, and friction where slips turn.
 
         Their products in doubles lack what twice double precision has; the system is solved for that, too. What is not
         known of the answer then is spread by the inverse, by solutions for such data of random signs.
@@ -282,51 +244,82 @@ class RateSystem:
         Parameters
         ----------
         solved, data : a solution, and the data in doubles that it is for
-        own : (m, d-1) array, of the data, the friction of slips by a change of coefficients
+        own : (m, d-1) array, of the data, the friction of slips by a change of coefficients or of their origins
         direction : that of stiffness, rows or coefficients
         known : the answer
         """
         problem, exact, (u, push, *_) = self._problem, self._exact, known.extended
         if not np.isfinite(known.remainder):
-            return solved.found, None, None
-        ends = (
-            known.remainder * self._unit,
-            np.divide(known.remainder, self._sizes[0], out=np.zeros_like(self._sizes[0]), where=self._sizes[0] > 0),
-        )
+            return replace(solved, bound=None), None, None
+        ends = known.remainder * self._unit, self._forces(known.remainder, 0)
         left_u, left_push = (end + ROUNDED * abs(one.hi) for end, one in zip(ends, (u, push), strict=True))
         load, gap, strained = extend(direction.load), extend(direction.gap), extend(direction.strained)
-        lost, rest_load, rest_gap = extend(own.ravel()), np.zeros_like(left_u), np.zeros_like(left_push)
+        rest_load, rest_gap = np.zeros_like(left_u), np.zeros_like(left_push)
         if (dK := direction.stiffness) is not None:
             strained = -(SparseRows(dK) @ u)
             load, rest_load = load + strained, abs(dK) @ left_u
         if (dE := direction.rows) is not None:
             load, gap = load - SparseRows(dE.T) @ push, gap - SparseRows(dE) @ u
             rest_load, rest_gap = rest_load + abs(dE).T @ left_push, abs(dE) @ left_u
-        if direction.friction.any() and problem.tangent is not None:
-            lost = _products(direction.friction, push)
-            lost = Extended(lost.hi * self.directions[:, 0], lost.lo * self.directions[:, 0])
-            load, spread = load - exact.friction_force(lost), abs(direction.friction) * left_push
-            rest_load = rest_load + abs(problem.tangent).T @ spread
-        rest_load, rest_gap = rest_load + ROUNDED * abs(load.hi), rest_gap + ROUNDED * abs(gap.hi)
-        low = (load - data.displacement).double(), (gap - data.normal).double()
-        zero = Parts.zero(problem)
-        rest = replace(zero, displacement=rest_load, normal=rest_gap)
-        found, bound = self.with_more(solved, replace(zero, displacement=low[0], normal=low[1]), rest)
+        lost, spread = extend(own.ravel()), np.zeros_like(left_push)
+        if problem.tangent is not None and own.any():
+            lost = self.law.dragged(push, direction.friction) - self.law.turned(extend(direction.slip_origin.ravel()))
+            spread = abs(direction.friction) * left_push + self.law.error_of_dragged(push.hi, direction.friction)
+            spread = spread + self.law.error_of_turned(direction.slip_origin)
+            load = load - exact.friction_force(lost)
+            rest_load = rest_load + abs(problem.tangent).T @ np.repeat(spread, own.shape[1])
+        inexact = direction.by_answer or bool(own.any())
+        if inexact:
+            rest_load, rest_gap = rest_load + ROUNDED * abs(load.hi), rest_gap + ROUNDED * abs(gap.hi)
+            low = (load - data.displacement).double(), (gap - data.normal).double()
+            zero = Parts.zero(problem)
+            rest = replace(zero, displacement=rest_load, normal=rest_gap)
+            solved = self.with_more(solved, replace(zero, displacement=low[0], normal=low[1]), rest)
         off = Parts(
-            abs((strained - direction.strained).double()) + rest_load, abs(low[1]) + rest_gap,
-            abs((lost - own.ravel()).double()).reshape(own.shape) + (abs(direction.friction) * left_push)[:, None],
-            zero.tie,
-        )  # fmt: skip
-        return found, bound, off
+            abs((strained - direction.strained).double()) + rest_load,
+            abs((gap - direction.whole_gap).double()) + rest_gap,
+            abs((lost - own.ravel()).double()).reshape(own.shape) + spread[:, None],
+            np.zeros(problem.ties),
+        )
+        if not self.turns:
+            return solved, off, None
+        friction, unknown = self._drag_of(solved, lost)
+        return solved, replace(off, tangent=np.repeat((unknown + spread)[:, None], own.shape[1], axis=1)), friction
 
-    def with_more(self, solved: Solved, low: Parts, rest: Parts) -> tuple[Parts, Parts | None]:
+    def _drag_of(self, solved: Solved, own: Extended) -> tuple[Array, Vector]:
+        """Return the rates of friction (m, 2) where slips turn, and what more than contact forces they are off by."""
+        problem, law, (u, normal, tangent, _) = self._problem, self.law, solved.extended
+        assert problem.tangent is not None
+        slip = self._exact.slip(u)
+        friction = (tangent + law.dragged(normal) + law.turned(slip) + own).double().reshape(self.directions.shape)
+        slips, remainder = slip.double().reshape(friction.shape), min(solved.remainder, np.finfo(float).max)
+        moved = (abs(problem.tangent) @ (remainder * self._unit + ROUNDED * abs(u.hi))).reshape(friction.shape)
+        unknown = law.error_of_dragged(normal.hi) + law.error_of_turned(slips)
+        return friction, unknown + abs(law.turns.hi) * np.linalg.norm(moved, axis=1)
+
+    def with_more(self, solved: Solved, low: Parts, rest: Parts) -> Solved:
         """Return a solution with what its data in doubles lack, and its bound where the sum is off by up to `rest`."""
-        more = self.solve(low, solved.transposed)
+        more, spread = self.solve(low, solved.transposed), self._spread(rest, solved.transposed)
         found = Parts(*(getattr(solved.found, name) + getattr(more.found, name) for name in vars(low)))
-        bounds = solved.bound, more.bound, self._bound(found, self._spread(rest, solved.transposed))
-        if any(one is None for one in bounds):
-            return found, None
-        return found, Parts(*(sum(getattr(one, name) for one in bounds) for name in vars(low)))
+        bounds = solved.bound, more.bound, self._bound(found, spread)
+        known = all(one is not None for one in bounds)
+        bound = Parts(*(sum(getattr(one, name) for one in bounds) for name in vars(low))) if known else None
+        whole = tuple(one + other for one, other in zip(solved.extended, more.extended, strict=True))
+        remainder = solved.remainder + more.remainder + spread
+        return replace(solved, found=found, bound=bound, extended=whole, remainder=remainder)
+
+    def _rest_of_law(self, found: Parts, transposed: bool) -> Parts:
+        """Return what the law, which is off, leaves of the data of a solution at most."""
+        problem, law, zero = self._problem, self.law, Parts.zero(self._problem)
+        assert problem.tangent is not None
+        slip = (problem.tangent @ found.displacement).reshape(self.directions.shape)
+        friction, normal = law.error_of_turned(slip), zero.normal
+        if transposed:
+            normal = law.error_of_dragged(np.linalg.norm(slip, axis=1))
+        else:
+            friction = friction + law.error_of_dragged(found.normal)
+        load = abs(problem.tangent).T @ np.repeat(friction, slip.shape[1])
+        return replace(zero, displacement=load, normal=normal)
 
     def _spread(self, rest: Parts, transposed: bool) -> float:
         """Return what data up to these sizes may change of a solution, by those of random signs."""
@@ -348,9 +341,7 @@ class RateSystem:
         """Return what further refinement and rounding to doubles may change of each part."""
         if not np.isfinite(remainder):
             return None
-        normal, tangent, tie = (
-            np.divide(remainder, size, out=np.zeros_like(size), where=size > 0) for size in self._sizes
-        )
+        normal, tangent, tie = (self._forces(remainder, which) for which in range(3))
         return Parts(
             remainder * self._unit + EPS * abs(found.displacement),
             normal + EPS * abs(found.normal),
@@ -370,13 +361,22 @@ class RateSystem:
         normal[self.closed], tangent[self.stuck] = right.normal[self.closed], right.tangent[self.stuck]
         return Parts(right.displacement, normal, tangent, right.tie)
 
-    def _residual(self, right: Parts, y: list[Extended], transposed: bool) -> Parts:
+    def _friction(self, y: list[Extended], transposed: bool) -> Extended:
+        """Return the friction (flat) of contacts that slip, or what the transposed system has in its place."""
+        _, normal, tangent, _ = y
+        if not (len(tangent) and self._problem.frictional):
+            return Extended(np.zeros(len(tangent)))
+        turned = self.law.turned(self._exact.slip(y[0]))
+        return turned if transposed else turned + self.law.dragged(normal)
+
+    def _residual(self, right: Parts, y: list[Extended], transposed: bool, friction: Extended) -> Parts:
         exact, (u, normal, tangent, tie) = self._exact, y
-        slip = exact.slip(u)
+        slip, held = exact.slip(u), exact.normal @ u
         outer = extend(right.displacement) - exact.contact_force(normal, tie)
         if len(slip):
-            outer = outer - exact.friction_force(tangent + self._system.friction(normal, slip.double(), transposed))
-        held = self._system.held(exact.normal @ u, slip, transposed)
+            outer = outer - exact.friction_force(tangent + friction)
+        if transposed and len(slip) and self._problem.frictional:
+            held = held + times(Extended(self.law.coefficient), self.law.along(slip))
         return self._on_own_rows(
             Parts(
                 (outer - exact.stiffness @ u).double(),
@@ -409,14 +409,6 @@ class _Frictionless:
         normal[self._closed] = dl
         return Parts(du, normal, np.zeros_like(left.tangent), tie)
 
-    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
-        del slip, transposed
-        return normal
-
-    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
-        del normal, transposed
-        return Extended(np.zeros_like(slip))
-
 
 class _Frictional:
     """The system of one combination of open, stick and slip at an answer."""
@@ -435,7 +427,7 @@ class _Frictional:
         if scaled is not None and problem.friction is not None:
             size = np.linalg.norm(answer.tangent, axis=1)
             turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
-        self.turning = turns[:, None, None] * across  # (m, d-1, d-1)
+        self.turns, self.turning = turns, turns[:, None, None] * across  # (m,), (m, d-1, d-1)
 
     def correct(self, left: Parts, transposed: bool) -> Parts:
         data = left.displacement, left.normal, left.tangent.ravel(), left.tie
@@ -444,55 +436,3 @@ class _Frictional:
     def unresolved(self) -> list[Parts]:
         """Return a basis of what may be added to solutions."""
         return [Parts.of(one) for one in self._system.unresolved()]
-
-    def held(self, normal: Extended, slip: Extended, transposed: bool) -> Extended:
-        """Return E_N u, of the transposed system (E_N + mu t'E_T) u."""
-        if not transposed:
-            return normal
-        coefficient = np.zeros(self._shape[0]) if self._problem.friction is None else self._problem.friction
-        along = (coefficient[:, None] * self.directions).ravel()
-        dragged = _products(along, slip)
-        width = self._shape[1]
-        for k in range(width):
-            normal = normal + Extended(dragged.hi[k::width], dragged.lo[k::width])
-        return normal
-
-    def friction(self, normal: Extended, slip: Vector, transposed: bool) -> Extended:
-        turned: Vector = np.einsum("mij,mj->mi", self.turning, slip.reshape(self._shape)).ravel()
-        return Extended(turned) if transposed else friction_bound(self._problem, normal, self.directions) + turned
-
-
-def _products(factor: Vector, values: Extended) -> Extended:
-    """Return the products of doubles and extended numbers, entry by entry."""
-    product, error = two_product(factor, values.hi)
-    return Extended(product, error + factor * values.lo)
-
-
-def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Direction) -> Any:
-    """Return what entries of rates may be off by, gaps, slips, friction and reactions in the plane; None if not known.
-
-    Parameters
-    ----------
-    problem, of : the problem of the answer, and the name of a quantity
-    rates, direction : its rates, with bounds of displacement and forces, and what they are along
-    """
-    bound, u = rates.bound, abs(rates.displacement)
-    if bound is None:
-        return None
-    off = Parts.zero(problem) if rates.off is None else rates.off
-    if of in ("displacement", "normal_force", "tie_force"):
-        return dict(displacement=bound.displacement, normal_force=bound.normal, tie_force=bound.tie)[of]
-    if of == "friction_force" and problem.friction is not None:
-        dragged = problem.friction[:, None] * rates.normal_force[:, None]  # one of its three terms, which may cancel
-        rounding = 8 * EPS * (abs(rates.friction_force) + abs(dragged))
-        return bound.tangent + problem.friction[:, None] * bound.normal[:, None] + off.tangent + rounding
-    rows = dict(gap=problem.normal, slip=problem.tangent, reaction=problem.stiffness_rows).get(of)
-    if rows is None:
-        return None
-    own = dict(gap=direction.whole_gap, slip=direction.slip_origin.ravel(), reaction=direction.load)[of]
-    if of == "reaction":
-        own = abs(own) + abs(direction.strained)
-    more = dict(gap=off.normal, reaction=off.displacement).get(of, 0.0)
-    sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 3
-    errors = sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u) + more
-    return errors.reshape(getattr(rates, of).shape)

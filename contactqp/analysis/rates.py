@@ -43,17 +43,8 @@ from contactqp.analysis.border_states import (
     sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.rate_systems import (
-    LARGE,
-    SAME,
-    Direction,
-    Parts,
-    Rates,
-    RateSystem,
-    Solved,
-    errors_of,
-    shape_of_tangents,
-)  # fmt: skip
+from contactqp.analysis.rate_data import Direction, Parts, Rates, Solved, errors_of, shape_of_tangents
+from contactqp.analysis.rate_systems import LARGE, SAME, RateSystem
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
 from contactqp.linalg.condensation import condense
@@ -221,8 +212,18 @@ class Linearised:
     @property
     def turns(self) -> bool:
         """Return whether slips in space turn, or may, so that the answer is not linear along any direction."""
-        in_space = self.problem.frictional and self._drag.shape[1] > 1
-        return in_space and bool(len(self.undecided) or self.system is None or np.any(self.system.turning != 0))
+        return self._in_space and (self.system is None or self.system.turns)
+
+    @property
+    def _in_space(self) -> bool:
+        """Return whether friction has two directions."""
+        return self.problem.frictional and self._drag.shape[1] > 1
+
+    @property
+    def has_bounds(self) -> bool:
+        """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
+        known = self.extended_answer if self.turns else None
+        return self.sure and (not self.turns or (known is not None and known.bound is not None))
 
     def only(self, of: str) -> bool:
         """Return whether normal or tie forces are unique although contacts or ties are redundant."""
@@ -294,19 +295,20 @@ class Linearised:
         if (begin := system.across) is not None:
             tie_value = np.concatenate([tie_value, np.sum(begin[1] * slip_origin[begin[0]], axis=1)])
         data = Parts(load, direction.whole_gap, slip_origin, tie_value)
-        solved = system.solve(data)
+        known = self.extended_answer if direction.by_answer or system.turns else None
+        solved, off, friction = system.solve(data), None, None
         if not solved.settled:
             raise NoRates(SINGULAR)
-        found, bound, off = solved.found, solved.bound, None
-        if direction.by_answer and system.across is None and self.extended_answer is not None:
-            found, bound, off = system.completed(solved, data, own, direction, self.extended_answer)
-        rates = self._of_parts(system, direction, found, bound, own)
+        if system.across is None and known is not None:
+            solved, off, friction = system.completed(solved, data, own, direction, known)
+        rates = self._of_parts(system, direction, solved.found, solved.bound, own)
+        rates = rates if friction is None else replace(rates, friction_force=friction)
         return replace(rates, off=off, gap=rates.gap if direction.by_answer else system.gap(solved, data.normal))
 
     @cached_property
     def extended_answer(self) -> Solved | None:
-        """Return the answer in twice double precision, from the system of its states; None where slips may turn."""
-        if self._sparse or (self.problem.frictional and self._drag.shape[1] > 1):
+        """The answer in twice double precision, from the system of its states; None at a border in space."""
+        if self._sparse or (self._in_space and self.system is None):
             return None
         system = self._system(self.status)
         return system.answer() if system.regular else None

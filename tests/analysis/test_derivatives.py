@@ -138,7 +138,7 @@ def test_a_rounded_answer_has_the_rates_of_the_exact_one(completed: bool, monkey
     """Products of a direction with a displacement that is off by 1e-10 are off, unless what they lack is added."""
     if not completed:
         none = rate_systems.Parts(*[np.zeros(1)] * 4)
-        monkeypatch.setattr(rate_systems.RateSystem, "completed", lambda _, x, *__: (x.found, x.bound, none))
+        monkeypatch.setattr(rate_systems.RateSystem, "completed", lambda _, x, *__: (x, none, None))
     rng, outside = np.random.default_rng(5), 0
     for _ in range(8):
         problem, _ = drawn(rng, False)

@@ -18,8 +18,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks.bars import Bar
 from contactqp.scene.blocks.beams import Beam
 from contactqp.scene.blocks.element import Element, Measure
-from contactqp.scene.blocks.masses import PointMass
-from contactqp.scene.blocks.matrices import StiffnessMatrix
+from contactqp.scene.blocks.matrices import PointMass, StiffnessMatrix
 from contactqp.scene.blocks.springs import Spring
 from contactqp.scene.blocks.strings import String
 from contactqp.scene.fields import Block, Name, NodeName

@@ -1,0 +1,139 @@
+"""Rates of slips that turn are off by no more than their bounds, held against sixty digits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis.derivatives import QUANTITIES
+from contactqp.analysis.rate_data import SlipLaw
+from contactqp.analysis.rate_systems import RateSystem
+from contactqp.linalg.extended import Extended
+from contactqp.model.coulomb import SLIP_ON
+from tests.analysis.slips_in_space import Reference, decimals
+
+
+def drawn(rng: np.random.Generator, spread: float = 0.0) -> cq.ContactProblem:
+    """Draw contacts of points, pressed and pulled along any plane, stiffness and units apart by exp(2 spread)."""
+    m = int(rng.integers(1, 3))
+    n, shape = 3 * m + 1, rng.integers(-3, 4, (3 * m + 1, 3 * m + 1)) / 3
+    scale = np.exp(rng.uniform(-spread, spread, n))
+    K = scale[:, None] * (shape @ shape.T + np.diag(rng.integers(1, 5, n) / 3)) * scale
+    normal, tangent = np.zeros((m, n)), np.zeros((2 * m, n))
+    for i in range(m):
+        axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        normal[i, 3 * i : 3 * i + 3], tangent[2 * i : 2 * i + 2, 3 * i : 3 * i + 3] = axes[0], axes[1:]
+    load = normal.T @ (3 + 3 * rng.random(m)) + tangent.T @ rng.standard_normal(2 * m) * 2
+    return cq.ContactProblem(
+        (K + K.T) / 2, load, normal, rng.random(m) / 5, tangent=tangent, friction=rng.uniform(0.05, 0.4, m),
+        slip_origin=rng.standard_normal((m, 2)) / 1000, tie=rng.integers(-2, 3, (1, n)) / 3 + np.eye(n)[-1:],
+        tie_value=[0.05],
+    )  # fmt: skip
+
+
+def directions(rng: np.random.Generator, problem: cq.ContactProblem) -> dict[str, Any]:
+    n, m = problem.dimension, problem.contacts
+    turn = rng.integers(-2, 3, (n, n)) / 3
+    return dict(
+        load=rng.standard_normal(n), gap=rng.standard_normal(m), tie_value=np.ones(problem.ties),
+        friction=rng.random(m), slip_origin=rng.standard_normal((m, 2)), stiffness=turn + turn.T,
+        rows=problem.normal.toarray() * rng.standard_normal((m, n)),
+    )  # fmt: skip
+
+
+def parts(
+    problem: cq.ContactProblem, rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES
+) -> list[float]:
+    """Return what parts of their bounds rates of one answer, and products of gradients with directions, are off by."""
+    solution = cq.solve(problem)
+    reference, found = Reference(problem, solution), []
+    for parameter, direction in directions(rng, problem).items():
+        true = reference.rates(parameter, direction)
+        for of in quantities:
+            rate = solution.derivative(of, parameter, direction)
+            if rate.bound is None:
+                return []
+            exact, value, bound = (np.ravel(one) for one in (true[of], decimals(rate.value), decimals(rate.bound)))
+            found += [part_of(abs(x - y), most) for x, y, most in zip(value, exact, bound, strict=True)]
+            weights = rng.standard_normal(np.shape(rate.value))
+            pair = solution.pullback(of, weights, parameter, return_bound=True)
+            gradient, apart, along = (decimals(one).ravel() for one in (*pair, direction))
+            product = decimals(weights).ravel() @ exact
+            found.append(part_of(abs(gradient @ along - product), apart @ abs(along)))
+    return found
+
+
+def part_of(error: Any, bound: Any) -> float:
+    """Return an error as a part of its bound; where that is zero the error must be."""
+    return float(error / bound) if bound else np.inf if error else 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spread", [0.0, 3.0])
+def test_bounds_hold_against_sixty_digits_and_those_of_a_tenth_would_not(spread: float) -> None:
+    of_all = [parts(drawn(np.random.default_rng(seed), spread), np.random.default_rng(seed)) for seed in range(12)]
+    whole = [part for found in of_all for part in found]
+    assert sum(bool(found) for found in of_all) >= 8
+    assert 0.1 < max(whole) <= 1.0
+
+
+def test_a_slip_in_space_has_the_rates_of_the_closed_form() -> None:
+    """A block on springs that slips by s = (f - mu N f/|f|)/k takes mu N f/|f|, which turns with f."""
+    problem = cq.ContactProblem(
+        np.diag([2.0, 2.0, 5.0]), [6.0, 8.0, -10.0], [[0.0, 0.0, -1.0]], [0.0], np.eye(3)[:2], 0.25
+    )
+    solution = cq.solve(problem)
+    for direction, friction in (([1.0, 0.0, 0.0], [0.16, -0.12]), ([0.0, 0.0, -1.0], [0.15, 0.2])):
+        rate = solution.derivative("friction_force", "load", direction)
+        assert abs(rate.value - [friction]) == pytest.approx(0.0, abs=1e-15)
+        assert np.all(abs(rate.value - [friction]) <= rate.bound + 2.0**-54)  # the closed forms are no doubles
+        assert np.all(rate.bound <= 1e-15)
+
+
+def near_its_origin() -> cq.ContactProblem:
+    """A contact that has moved by 1e6 and slipped by 1e-3, of which doubles keep six digits."""
+    origin = np.array([[1e6, 2e6]]) / 3
+    return cq.ContactProblem(
+        np.diag([2.0, 2.0, 5.0]), [*(2 * origin[0] + [1.002, 0.7]), -10.0], [[0.0, 0.0, -1.0]], [0.0],
+        np.eye(3)[:2], 0.12, slip_origin=origin,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("refined", [True, False])
+def test_directions_that_doubles_hardly_tell_are_refined(refined: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the answer beyond doubles the direction of the slip is off, and more than bounds say."""
+    if not refined:
+        monkeypatch.setattr(RateSystem, "_newton", RateSystem.solve)
+    found = parts(near_its_origin(), np.random.default_rng(1), ("friction_force",))
+    assert found
+    assert (max(found) <= 1.0) == refined
+
+
+@pytest.mark.parametrize("off", ["off", "off_turns"])
+def test_what_the_law_is_off_by_belongs_to_the_bound(off: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = cq.solve(drawn(np.random.default_rng(3)))
+    direction = np.ones(solution.problem.dimension)
+    small = solution.derivative("friction_force", "load", direction).bound
+    at = SlipLaw.at.__func__
+
+    def worse(cls: type[SlipLaw], *arguments: Any) -> SlipLaw:
+        law = at(cls, *arguments)
+        return SlipLaw(**(vars(law) | {off: vars(law)[off] + 1e-6}))
+
+    monkeypatch.setattr(SlipLaw, "at", classmethod(worse))
+    large = solution.derivative("friction_force", "load", direction).bound
+    assert np.max(large) > 1e-8 > np.max(small)
+
+
+@pytest.mark.parametrize(("slip", "push"), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3)])
+def test_a_law_that_is_not_told_has_no_bound(slip: float, push: float) -> None:
+    law = SlipLaw.at(
+        np.array([0.5]), np.array([SLIP_ON], dtype=np.int8), Extended([3e-3, 4e-3]), Extended([7e-3]), np.array([slip]),
+        np.array([push]),
+    )  # fmt: skip
+    assert law.is_known == (slip == push == 0.0)
+    assert law.directions.double() == pytest.approx([0.6, 0.8], abs=1e-16)
+    assert law.turns.double() == pytest.approx([0.7], rel=1e-15)
