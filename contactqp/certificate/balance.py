@@ -34,6 +34,8 @@ from contactqp.model.solution import Answer
 
 # Rounding of K makes so many times the contact forces that one sample of it does, at most.
 PUSHED_BY_ROUNDING = 8.0
+# Forces that K makes of rigid motions, as a part of all: more of them may be what resists these, and not rounding.
+RESISTED = 1e-9
 # Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
@@ -130,12 +132,14 @@ def free_distance(
 
 
 def shared_by_rounding(
-    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector
-) -> tuple[Vector, float]:
+    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector, cleared: float
+) -> tuple[Vector, float, bool]:
     """Return sizes (m,) of the contact forces that K's rounding along rigid motions may make, and their energy norm.
 
-    On the closed contacts they balance the forces of the rigid part of a displacement, less the resultants of these:
-    forces that equilibrium alone determines do not feel it.
+    On the closed contacts they balance the forces that K makes of the rigid part of a displacement. There are none if
+    K was cleared of them because the motions are stated, which are exact. More than `RESISTED` may be what resists the
+    motions: then it is not sure that they are rigid, and if they are, the resultants of these forces are none, so that
+    forces that equilibrium alone determines do not feel them. Last is returned whether it is sure.
 
     Parameters
     ----------
@@ -143,14 +147,18 @@ def shared_by_rounding(
     condensation : that of the problem
     saddle : the factorised system of the closed contacts
     displacement : (n,) array [length], whose rigid part makes the forces
+    cleared : the part of all forces that K's rounding along rigid motions made, zero where it was left as it is
     """
+    if cleared and problem.near_null_space is not None:
+        return np.zeros(problem.contacts), 0.0, True
     forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
-    spread = problem.diagonal[:, None] * motions
-    forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
+    if cleared > RESISTED:
+        spread = problem.diagonal[:, None] * motions
+        forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
     pushed, closed = np.zeros(problem.contacts), saddle.closed
     _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
     pushed[closed] = PUSHED_BY_ROUNDING * share
-    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True))
+    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True)), cleared <= RESISTED
 
 
 def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:

@@ -118,7 +118,7 @@ class Bounds:
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
     shared: float = 0.0  # the part of `force_error` that this rounding may make of how closed contacts share forces
     undecided: float = 0.0  # the part of the distance that touching contacts leave open: gaps as doubles do not tell
-    estimated: bool = False  # by Ritz values, nothing being factorised: believed, not proven
+    estimated: bool = False  # by Ritz values, nothing being factorised, or for a K without what it resists by rounding
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer
     energy_size: float = 0.0  # the larger of 1/2 u'Ku and |f'u|
@@ -311,11 +311,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
-    if floats:
-        # A solution that is known has its own rigid part, however far away the answer is.
-        moved = solution.double() if pair.exact else answer.displacement
-        if energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
-            uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
+    # A solution that is known has its own rigid part, however far away the answer is.
+    moved = solution.double() if floats and pair.exact else answer.displacement
+    if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
+        uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
@@ -337,9 +336,9 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # Where nothing is elastic every displacement and every force has the energy norm zero.
     nothing_elastic = not problem.diagonal.any()
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
-    shared, of_shared = np.zeros(problem.contacts), 0.0
-    if pair.cleared and problem.near_null_space is None:  # stated motions are exact
-        shared, of_shared = shared_by_rounding(problem, condensation, pair.saddle, answer.displacement)
+    shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
+    if floats:
+        shared, of_shared, sure = shared_by_rounding(problem, condensation, pair.saddle, moved, pair.cleared)
     relative = None
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)
@@ -358,6 +357,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         largest_force=largest,
         force_bound=force_bound,
         relative_force_bound=relative,
+        estimated=not sure,
         solution=solution if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )
@@ -425,8 +425,7 @@ def _force_bound(
     saddle = saddle_point(condensation, active)
     if saddle.redundant:
         return None, REDUNDANT
-    m, count = problem.contacts, len(active)
-    bound = np.zeros(m)
+    count, bound = len(active), np.zeros(problem.contacts)
     bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
     if count:
         unit = np.eye(count)

@@ -374,11 +374,7 @@ def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str,
     if problem.asymmetry > 0:
         notes.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if bounds.cleared > WORTH_SAYING:
-        unsure = "" if problem.near_null_space is not None else "; stated in near_null_space, they are taken as exact"
-        notes.append(
-            f"the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make "
-            f"{bounds.cleared:.2g} of the forces there{unsure}"
-        )
+        notes.append(messages.of_rigid_motions(bounds))
     if bounds.free_distance > WORTH_SAYING * bounds.energy_scale > 0:
         notes.append(
             f"{bounds.free_distance / bounds.energy_scale:.2g} of energy_error is what the rounding of the stiffness "

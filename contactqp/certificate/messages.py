@@ -283,9 +283,16 @@ def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...
     )
 
 
+def of_rigid_motions(bounds: Bounds) -> str:
+    """Say that the stiffness was taken to be zero along rigid motions, and whether that is proven."""
+    taken = "the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make"
+    unsure = "; whether it is rounding that resists them is not known: stated in near_null_space, they are exact"
+    return f"{taken} {bounds.cleared:.2g} of the forces there{unsure if bounds.estimated else ''}"
+
+
 def of_estimates(bounds: Bounds) -> Iterator[str]:
     """Yield the notes that errors are estimated and not proven, or proven but for motions that nothing resists."""
-    if bounds.estimated:
+    if bounds.estimated and not bounds.cleared:
         yield "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     if bounds.free:
         yield "friction: equilibria nearby may differ by rigid motions that nothing resists, not in strain or forces"

@@ -33,7 +33,7 @@ from contactqp.linalg.dense import (
     orthonormal,
     unknown_scale,
 )
-from contactqp.linalg.extended import ExtendedRows
+from contactqp.linalg.extended import ExtendedRows, extended_rows
 from contactqp.linalg.factorization import (
     FAR_APART,
     condensed_null_space,
@@ -44,7 +44,7 @@ from contactqp.linalg.factorization import (
     stated_motions,
     unknowns_far_apart,
 )
-from contactqp.linalg.floating import NullSpace, unresisted
+from contactqp.linalg.floating import NullSpace, as_stated, unresisted
 from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
 from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
 from contactqp.model.arrays import CONDENSE, EPS, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
@@ -341,12 +341,16 @@ class Condensation:
         reduced._computed.condensation, reduced._computed.unknown_scale = self._of_reduced(reduced), self.scale
         return reduced
 
-    def cleared_rows(self, rows: ExtendedRows) -> ExtendedRows:
+    def cleared_rows(self, problem: ContactProblem) -> ExtendedRows:
         """Return rows whose stiffness is zero along rigid motions, for where K's rounding along these matters."""
         if self._cleared is None:
-            weight = np.sqrt(self._diagonal)
-            inverse = np.asarray(np.linalg.pinv(weight[:, None] * self.rigid.motions) * weight, dtype=float)
-            self._cleared = rows.cleared(self.rigid.motions, inverse)
+            weight, motions = np.sqrt(self._diagonal), self.rigid.motions
+            if problem.near_null_space is not None:
+                motions = as_stated(
+                    motions, problem.near_null_space, connected_parts(self._sparse)[1].astype(np.intp), weight
+                )
+            inverse = np.asarray(np.linalg.pinv(weight[:, None] * motions) * weight, dtype=float)
+            self._cleared = extended_rows(problem).cleared(motions, inverse)
         return self._cleared
 
     def idle_motions(self) -> Array:

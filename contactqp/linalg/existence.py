@@ -99,10 +99,10 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
         advice = f"; hold it by a support, a tie or a contact{lower}, or check the sign of the load"
     held = "no contact, friction or tie holds back" if problem.frictional else "no contact or tie holds back"
     lifted = " (what slides by s counts as lifted by mu s)" if problem.frictional else ""
-    raise NoEquilibrium(
-        f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{lifted}{advice}",
-        found,
-    )
+    if problem.near_null_space is None and (SparseRows(problem.stiffness_rows) @ extend(found.motion)).double().any():
+        held += ", nor the stiffness by more than the rounding of its entries"
+    text = f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{lifted}{advice}"
+    raise NoEquilibrium(text, found)
 
 
 def doubtful_drive(problem: ContactProblem) -> str:

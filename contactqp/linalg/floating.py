@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, Rig
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.krylov import ConstrainedRows
+from contactqp.linalg.krylov import ConstrainedRows, Processes
 from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.linalg.runtime import lapack
@@ -39,49 +39,6 @@ from contactqp.model.solution import Answer
 # A motion of unit length that rows of unit length resist by less than this is not resisted.
 UNRESISTED = 1e-9
 Lengths = Callable[[Vector], Vector]
-
-
-class Processes(Protocol):
-    """The processes that share a problem; everything but `rank` is collective, and the same on all of them."""
-
-    rank: int
-
-    def sum(self, value: Any) -> Any:
-        """Return the sum over the processes of a number or an array."""
-
-    def max(self, value: Any) -> Any:
-        """Return the largest over the processes of a number, or of an array entry by entry."""
-
-    def gathered(self, values: Any) -> Any:
-        """Return the arrays of all processes, one after the other."""
-
-    def offset(self, count: int) -> int:
-        """Return how many items the processes before this one have, where this one has `count`."""
-
-    def broadcast(self, value: Any) -> Any:
-        """Return a small value of the first process."""
-
-
-class OneProcess:
-    """The processes of a problem that one process has alone."""
-
-    rank = 0
-
-    def sum(self, value: Any) -> Any:
-        return value
-
-    def max(self, value: Any) -> Any:
-        return value
-
-    def gathered(self, values: Any) -> Any:
-        return values
-
-    def offset(self, count: int) -> int:
-        del count
-        return 0
-
-    def broadcast(self, value: Any) -> Any:
-        return value
 
 
 # A load that does at most this part of its work on a motion does none: it is rounding.
@@ -343,6 +300,31 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
     outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
     missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
     return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
+
+
+def as_stated(motions: Array, stated: Array, body: Indices, weight: Vector) -> Array:
+    """Return for each body the stated motions that span its rigid ones; a combination of them would be rounded.
+
+    Where they do not, the rigid motions of that body are returned as they are.
+
+    Parameters
+    ----------
+    motions : (n, r) array, rigid motions, each of one body
+    stated : (n, q) array, `near_null_space`
+    body : (n,) array of int, the body of each unknown
+    weight : (n,) array, in whose scale motions are compared
+    """
+    owner, found = body[np.argmax(weight[:, None] * abs(motions), axis=0)], []
+    for number in np.unique(owner):
+        own = np.where((body == number)[:, None], stated, 0.0)
+        own, rigid = own[:, own.any(axis=0)], motions[:, owner == number]
+        unit = weight[:, None] * own
+        unit, basis = unit / np.linalg.norm(unit, axis=0), np.linalg.qr(weight[:, None] * rigid)[0]
+        within = np.linalg.norm(unit - basis @ (basis.T @ unit), axis=0) <= UNRESISTED
+        values = np.linalg.svd(unit[:, within], compute_uv=False)
+        spans = len(values) == rigid.shape[1] == np.count_nonzero(within) and values[-1] > UNRESISTED
+        found.append(own[:, within] if spans else rigid)
+    return np.hstack(found) if found else motions
 
 
 def _orthonormal_by_body(motions: Array) -> Array:

@@ -307,7 +307,7 @@ def refined_in(
     balanced = not condensation.rigid.count
     if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
         return found
-    cleared = condensation.cleared_rows(extended_rows(problem))
+    cleared = condensation.cleared_rows(problem)
     return refined_by(system, problem, rows, status, start, exact=cleared)
 
 

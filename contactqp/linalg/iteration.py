@@ -21,8 +21,8 @@ from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.factorization import stated_motions, widest_level
-from contactqp.linalg.floating import FloatingMotions, OneProcess
-from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows
+from contactqp.linalg.floating import FloatingMotions
+from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows, OneProcess
 from contactqp.linalg.measures import force_measure
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE

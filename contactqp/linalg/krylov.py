@@ -29,6 +29,49 @@ from numpy.typing import NDArray
 from contactqp.model.arrays import TINY, Array, Vector
 
 
+class Processes(Protocol):
+    """The processes that share a problem; everything but `rank` is collective, and the same on all of them."""
+
+    rank: int
+
+    def sum(self, value: Any) -> Any:
+        """Return the sum over the processes of a number or an array."""
+
+    def max(self, value: Any) -> Any:
+        """Return the largest over the processes of a number, or of an array entry by entry."""
+
+    def gathered(self, values: Any) -> Any:
+        """Return the arrays of all processes, one after the other."""
+
+    def offset(self, count: int) -> int:
+        """Return how many items the processes before this one have, where this one has `count`."""
+
+    def broadcast(self, value: Any) -> Any:
+        """Return a small value of the first process."""
+
+
+class OneProcess:
+    """The processes of a problem that one process has alone."""
+
+    rank = 0
+
+    def sum(self, value: Any) -> Any:
+        return value
+
+    def max(self, value: Any) -> Any:
+        return value
+
+    def gathered(self, values: Any) -> Any:
+        return values
+
+    def offset(self, count: int) -> int:
+        del count
+        return 0
+
+    def broadcast(self, value: Any) -> Any:
+        return value
+
+
 class Projections(Protocol):
     """Projections of displacements and forces by rows that are held."""
 

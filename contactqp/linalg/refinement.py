@@ -140,7 +140,7 @@ def _refined(
     size_of = _CorrectionSize(problem, condensation, closed)
     saddle = saddle_point(condensation, closed)
     answer, residual = _start(problem, closed, start, residual)
-    rows = condensation.cleared_rows(extended_rows(problem)) if cleared else extended_rows(problem)
+    rows = condensation.cleared_rows(problem) if cleared else extended_rows(problem)
     last, q = np.inf, saddle.contraction and max(saddle.contraction, size_of.least_contraction)
     for sweep in range(MAX_SWEEPS):
         if residual is None:

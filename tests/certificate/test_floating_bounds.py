@@ -118,6 +118,56 @@ def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refus
     assert any("balance: the forces on a body do not balance" in failure for failure in refused.failures)
 
 
+def _chain(springs: list[float]) -> np.ndarray:
+    """Return the stiffness of springs in a row, the first at a wall, each sum of two rounded."""
+    k = np.array(springs)
+    return np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+
+
+def test_a_stiffness_that_resists_a_motion_by_no_more_than_its_rounding_proves_nothing_along_it():
+    """Springs of 1 and 1e13 by turns: doubles hold what resists the softest motion to a few percent."""
+    K, f = _chain([1.0, 1e13] * 30), np.random.default_rng(3).normal(size=60)
+    problem = cq.ContactProblem(K, f, np.eye(60)[[30, 59]], [0.5, 1.0])
+    truth = np.array([float(force) for force in cq.exact(problem).normal_force])
+    judged = cq.solve(problem).certificate
+    answer = cq.solve(problem).normal_force
+    assert np.max(abs(answer - truth)) > 0.5 * np.max(truth)  # of the doubles as they stand
+    assert judged.passed
+    assert not judged.proven
+    assert "whether it is rounding that resists them is not known" in judged.notes[-1]
+    firmly = problem.replace(stiffness=_chain([1.0, 1e10] * 30))
+    solution = cq.solve(firmly)
+    assert solution.certificate.proven
+    truth = np.array([float(force) for force in cq.exact(firmly).normal_force])
+    assert np.all(abs(solution.normal_force - truth) <= solution.certificate.force_bound)
+    driven = problem.replace(load=np.ones(60), normal=-problem.normal)
+    with pytest.raises(cq.NoEquilibrium, match="nor the stiffness by more than the rounding of its entries"):
+        cq.solve(driven)
+
+
+@pytest.mark.parametrize("far", [1e-2, 1e2, 1e5])
+def test_what_rounding_of_the_stiffness_pushes_is_in_the_bounds_unless_the_motions_are_stated(far):
+    """A free chain of uneven springs rests far away on two masses; its forces follow from balance, in rationals."""
+    k = [0.731, 0.0417, 3.77, 1.93, 0.611]
+    K = _chain([0.3, *k])
+    K[0, 0] = k[0]
+    load, rows = -1e-3 * np.array([0.31, 0.77, 0.13, 0.59, 0.41, 0.23]), -np.eye(6)[[0, 4]]
+    problem = cq.ContactProblem(K, load, rows, [far, far])
+    f = [Fraction(float(value)) for value in load]
+    between = [1 / Fraction(value) for value in k[:4]]  # what a force carried from one contact to the next takes
+    carried = sum(between[i] * sum(f[1 : i + 1]) for i in range(4)) / sum(between)
+    last = -(f[4] + f[5] + sum(f[1:4]) - carried)
+    truth = np.array([float(-sum(f) - last), float(last)])
+    assert np.sum(truth) == pytest.approx(2.44e-3, rel=1e-12)
+    free = cq.solve(problem)
+    assert free.certificate.proven == (far < 1e5)  # a note says what is taken as rounding there
+    if far < 1e5:
+        assert np.all(abs(free.normal_force - truth) <= free.certificate.force_bound + 1e-15 * truth)
+    stated = cq.solve(problem.replace(near_null_space=np.ones((6, 1))))
+    assert stated.certificate.proven
+    assert stated.normal_force == pytest.approx(truth, rel=1e-13 if far > 1 else 1e-12)
+
+
 @pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
 @pytest.mark.parametrize("springs", [3, 60])
 def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs, contrast):
