@@ -104,14 +104,10 @@ from contactqp.certificate.state_bodies import (
     RefinedLengths,
     refined_lengths,
     refined_local_lengths,
+    with_rounding_of_motions,
 )
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import (
-    ContactCompliance,
-    ContactOperators,
-    contact_compliance,
-    refined_forces,
-)
+from contactqp.linalg.delassus import ContactCompliance, ContactOperators, contact_compliance, refined_forces
 from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
 from contactqp.model.arrays import Array, Mask, Vector
@@ -142,6 +138,8 @@ def frictional_bounds(
     compared : with the refined answer of the combination
     """
     found = _proven(problem, condensation, answer, compared)
+    if not isinstance(found, str) and condensation.rigid.count:
+        found = with_rounding_of_motions(problem, condensation, compared, found)
     return no_bounds(f"friction: {found}") if isinstance(found, str) else found
 
 

@@ -13,14 +13,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from contactqp.certificate import messages
-from contactqp.certificate.bounds import error_bounds, failed_errors, fails_force_bound
+from contactqp.certificate.balance import PUSHED_BY_ROUNDING, RESISTED
+from contactqp.certificate.bounds import Bounds, error_bounds, failed_errors, fails_force_bound
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
-from contactqp.linalg.delassus import ContactCompliance, RefinedForces
+from contactqp.linalg.delassus import (
+    ContactCompliance,
+    RefinedForces,
+    condensed_frictional_rows,
+    contact_compliance,
+)
 from contactqp.linalg.extended import FINE_EPS, extend, extended_rows, residuals
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
@@ -50,6 +56,10 @@ STEPS_TO_TELL, FAR_APART = 12, 1e-4
 # Slip directions that are far from settled and turn by more than this part of the turn before settle nowhere near.
 SLOW_TURN = 0.5
 FAR = "it is far from the answers of the combinations that it leads to"
+UNSURE_MOTIONS = (
+    "whether springs or rounding resist the rigid motions of the bodies is not known, and it changes the forces: "
+    "stated in near_null_space, they are exact"
+)
 # Steps of conjugate gradients towards the response to forces.
 MOST_STEPS = 200
 
@@ -277,6 +287,48 @@ def refined_lengths(
     scale = compliance.scale
     forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
     return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
+
+
+def with_rounding_of_motions(
+    problem: ContactProblem, condensation: Condensation, compared: Compared, bounds: Bounds
+) -> Bounds | str:
+    """Return bounds with what K's rounding along rigid motions changes the forces of the combination by, and more.
+
+    Stated motions are exact: what counts is whether K was cleared of that rounding. Where others change more than
+    `RESISTED` of the forces springs may resist them, and the reason is returned that nothing is proven.
+
+    Parameters
+    ----------
+    problem, condensation : the ContactProblem, whose bodies float, and its Condensation
+    compared : what the answer was compared with
+    bounds : those of the answer
+    """
+    from contactqp.linalg.friction_states import refined_in
+
+    rows, stated = condensed_frictional_rows(problem, condensation), problem.near_null_space is not None
+    start, found = compared.refined.answer(rows.width), compared.refined
+    cleared = refined_in(problem, condensation, rows, compared.status, start, cleared=True)
+    if not stated:
+        found = refined_in(problem, condensation, rows, compared.status, start, cleared=False)
+    normal = (cleared.normal_force - found.normal_force).double()
+    friction = (cleared.friction_force - found.friction_force).double().reshape(len(normal), -1)
+    friction = np.where(compared.frictional[:, None], friction, 0.0)
+    pushed = PUSHED_BY_ROUNDING * lengths(np.column_stack([normal, friction]))
+    size = np.max(abs(start.normal_force), initial=0.0)
+    if not stated and not np.all(pushed <= PUSHED_BY_ROUNDING * RESISTED * size):
+        return UNSURE_MOTIONS
+    compliance = contact_compliance(problem, condensation)
+    across = np.max(compliance.W.diagonal().reshape(len(pushed), -1), axis=1)
+    strained = float(np.sum(np.sqrt(across) * compliance.scale * pushed))
+    bound = pushed + (0.0 if bounds.force_bound is None else bounds.force_bound)
+    own = np.sqrt(own_compliance(problem, problem.normal))
+    return replace(
+        bounds,
+        energy_error=(bounds.energy_error or 0.0) + strained / (bounds.energy_scale or 1.0),
+        force_error=(bounds.force_error or 0.0) + strained / (bounds.force_scale or 1.0),
+        force_bound=bound,
+        relative_force_bound=bound * own / (bounds.force_scale or bounds.energy_scale or 1.0),
+    )
 
 
 def refined_local_lengths(

@@ -274,6 +274,7 @@ def refined_in(
     start: Answer,
     independent: bool = False,
     left: Residuals | None = None,
+    cleared: bool | None = None,
 ) -> RefinedState:
     """Refine the answer of one combination from a start.
 
@@ -290,6 +291,7 @@ def refined_in(
     start : Answer
     independent : as in `StateSystem`
     left : those of the start, where they are known
+    cleared : whether K is cleared of its rounding along rigid motions, where that is not to be decided here
     """
 
     def system(directions: Array, turning: Vector | None) -> StateSystem:
@@ -303,12 +305,12 @@ def refined_in(
         return made
 
     caution = np.inf if independent else CAUTION
-    found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
-    balanced = not condensation.rigid.count
-    if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
-        return found
-    cleared = condensation.cleared_rows(problem)
-    return refined_by(system, problem, rows, status, start, exact=cleared)
+    if not cleared:
+        found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
+        balanced = cleared is False or not condensation.rigid.count
+        if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
+            return found
+    return refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
 
 
 def refined_by(

@@ -145,19 +145,22 @@ def test_a_stiffness_that_resists_a_motion_by_no_more_than_its_rounding_proves_n
         cq.solve(driven)
 
 
-@pytest.mark.parametrize("far", [1e-2, 1e2, 1e5])
-def test_what_rounding_of_the_stiffness_pushes_is_in_the_bounds_unless_the_motions_are_stated(far):
-    """A free chain of uneven springs rests far away on two masses; its forces follow from balance, in rationals."""
+def _far_chain(far: float) -> tuple[cq.ContactProblem, np.ndarray]:
+    """Return a free chain of uneven springs that rests far away on two masses, and its forces, in rationals."""
     k = [0.731, 0.0417, 3.77, 1.93, 0.611]
     K = _chain([0.3, *k])
     K[0, 0] = k[0]
     load, rows = -1e-3 * np.array([0.31, 0.77, 0.13, 0.59, 0.41, 0.23]), -np.eye(6)[[0, 4]]
-    problem = cq.ContactProblem(K, load, rows, [far, far])
     f = [Fraction(float(value)) for value in load]
-    between = [1 / Fraction(value) for value in k[:4]]  # what a force carried from one contact to the next takes
-    carried = sum(between[i] * sum(f[1 : i + 1]) for i in range(4)) / sum(between)
+    between = [1 / Fraction(value) for value in k[:4]]
+    carried = sum(between[i] * sum(f[1 : i + 1]) for i in range(4)) / sum(between)  # by the first spring: no stretch
     last = -(f[4] + f[5] + sum(f[1:4]) - carried)
-    truth = np.array([float(-sum(f) - last), float(last)])
+    return cq.ContactProblem(K, load, rows, [far, far]), np.array([float(-sum(f) - last), float(last)])
+
+
+@pytest.mark.parametrize("far", [1e-2, 1e2, 1e5])
+def test_what_rounding_of_the_stiffness_pushes_is_in_the_bounds_unless_the_motions_are_stated(far):
+    problem, truth = _far_chain(far)
     assert np.sum(truth) == pytest.approx(2.44e-3, rel=1e-12)
     free = cq.solve(problem)
     assert free.certificate.proven == (far < 1e5)  # a note says what is taken as rounding there
@@ -166,6 +169,25 @@ def test_what_rounding_of_the_stiffness_pushes_is_in_the_bounds_unless_the_motio
     stated = cq.solve(problem.replace(near_null_space=np.ones((6, 1))))
     assert stated.certificate.proven
     assert stated.normal_force == pytest.approx(truth, rel=1e-13 if far > 1 else 1e-12)
+
+
+@pytest.mark.parametrize("far", [1e-2, 1e2, 1e5])
+def test_with_friction_as_well(far):
+    """The masses move across, too, on springs of their own, and stick there."""
+    chain, truth = _far_chain(far)
+    K, across = np.kron(np.diag([1.0, 0.0]), chain.stiffness), np.eye(12)[[6, 10]]
+    K[6:, 6:] = np.eye(6)
+    load, rows = np.append(chain.load, np.full(6, 1e-5)), np.hstack([chain.normal.toarray(), np.zeros((2, 6))])
+    problem = cq.ContactProblem(K, load, rows, chain.gap, tangent=across, friction=0.3)
+    solution = cq.solve(problem)
+    forces = {"normal_force": solution.normal_force, "friction_force": solution.friction_force}
+    judged = cq.certify(problem, solution.displacement, **forces)
+    assert judged.passed
+    assert judged.proven == (far < 1e5)
+    if far < 1e5:
+        assert np.all(abs(solution.normal_force - truth) <= judged.force_bound + 1e-15 * truth)
+    else:
+        assert "whether springs or rounding resist the rigid motions" in judged.reasons[0]
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
