@@ -370,12 +370,12 @@ def _step(system: PathSystem, point: CentralPoint, effort: Effort) -> tuple[Cent
     solve = system.solver(s / l, effort)
     force = problem.load - problem.stiffness_rows @ u - problem.normal.T @ l - problem.tie.T @ point.tie_force
     slack, tie = problem.gap - problem.normal @ u - s, problem.tie_value - problem.tie @ u
-    du, dl, _ = solve(force, slack + s, tie)
+    du, dl, _ = solve(force, slack + s, tie, False)
     ds = slack - problem.normal @ du
     reached = float((l + _until_zero(l, dl) * dl) @ (s + _until_zero(s, ds) * ds))
     mean = point.work / len(l)
     target = mean * min(reached / point.work, MOST_CENTRED) ** 3
-    du, dl, dn = solve(force, slack + s - (target - dl * ds) / l, tie)
+    du, dl, dn = solve(force, slack + s - (target - dl * ds) / l, tie, True)
     ds = slack - problem.normal @ du
     a, b = (SHORT_OF_ZERO * _until_zero(values, change) for values, change in ((s, ds), (l, dl)))
     after = replace(
@@ -409,8 +409,8 @@ class PathSystem:
         columns = np.repeat(np.arange(n + count), np.diff(self._matrix.indptr))
         self._on_diagonal = np.flatnonzero(self._matrix.indices == columns)
 
-    def solver(self, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector], Step]:
-        """Return a function that gives u, l, nu of f, g, b; raises BackendFailed as `factorised` does."""
+    def solver(self, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector, bool], Step]:
+        """Return a function that gives u, l, nu of f, g, b, refined if asked; raises BackendFailed as `factorised`."""
         problem, bounds, others, unknown, entry = self.problem, self._bounds, self._others, self._unknown, self._entry
         E, A, n, k = problem.normal, problem.tie, problem.dimension, problem.ties
         stiffer = np.bincount(unknown, entry**2 / compliance[bounds], n)
@@ -430,12 +430,13 @@ class PathSystem:
             pushed[bounds] = (entry * u[unknown] - gap[bounds]) / compliance[bounds]
             return u, pushed, found[n + len(others) :]
 
-        def refined(force: Vector, gap: Vector, tie: Vector) -> Step:
+        def found(force: Vector, gap: Vector, tie: Vector, refined: bool) -> Step:
             u, l, nu = once(force, gap, tie)  # noqa: E741
-            for _ in range(1 if elimination_order(problem).band is not None else REFINEMENTS):
+            often = 1 if elimination_order(problem).band is not None else REFINEMENTS
+            for _ in range(often if refined else 0):
                 left = force - problem.stiffness_rows @ u - E.T @ l - A.T @ nu
                 du, dl, dn = once(left, gap - E @ u + compliance * l, tie - A @ u)
                 u, l, nu = u + du, l + dl, nu + dn  # noqa: E741
             return u, l, nu
 
-        return refined
+        return found

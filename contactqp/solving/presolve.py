@@ -34,7 +34,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import bounds_of_unknowns
 from contactqp.linalg.existence import Conflict
 from contactqp.linalg.iteration import contacts_are_many
-from contactqp.model.arrays import EPS, Array, Indices, Vector, tell
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings
@@ -46,6 +46,7 @@ SEED = 0
 NAMED = 8
 # Rounding of a sum of q products, and of the bounds in them, is at most (q + ROUNDINGS) eps of the sum of their sizes.
 ROUNDINGS = 4
+ONE = Fraction(1)
 
 
 @dataclass(frozen=True)
@@ -87,15 +88,49 @@ def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
     changes = (np.diff(key[order]) != 0) | (np.diff(sense[order]) != 0)
     ends = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(order)]])
     several = np.flatnonzero(np.diff(ends) > 1)  # of many rows nearly every one is a group by itself
-    groups = (filled[order[ends[i] : ends[i + 1]]] for i in several)
-    return tuple(found for members in groups for found in _verified(rows, members))
+    groups = [filled[order[ends[i] : ends[i + 1]]] for i in several]
+    if not groups:
+        return ()
+    counts = np.array([len(members) - 1 for members in groups])
+    powers = _powers_of_two(
+        rows, np.repeat([members[0] for members in groups], counts), np.concatenate([members[1:] for members in groups])
+    )
+    of_groups = np.split(powers, np.cumsum(counts)[:-1])
+    return tuple(found for pair in zip(groups, of_groups, strict=True) for found in _verified(rows, *pair))
 
 
-def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
-    """Yield the rows among `members` that are exactly parallel to the first of them, if there are any."""
+def _powers_of_two(rows: Any, ones: Indices, others: Indices) -> Vector:
+    """Return the factors c of rows that are c times others to the last digit, c a power of two; NaN of the rest.
+
+    Products with c are exact, but for tiny ones.
+    """
+    lengths = np.diff(rows.indptr)
+    alike = np.flatnonzero(lengths[ones] == lengths[others])
+    count = lengths[ones[alike]]
+    starts = np.cumsum(count) - count
+    within = np.arange(int(np.sum(count))) - np.repeat(starts, count)
+    one, other = (np.repeat(rows.indptr[of[alike]], count) + within for of in (ones, others))
+    with np.errstate(over="ignore", under="ignore"):
+        factor = rows.data[rows.indptr[others[alike]]] / rows.data[rows.indptr[ones[alike]]]
+        same = np.repeat(factor, count) * rows.data[one] == rows.data[other]
+    same &= (rows.indices[one] == rows.indices[other]) & (abs(rows.data[other]) > TINY)
+    exact = np.logical_and.reduceat(same, starts) & (abs(np.frexp(factor)[0]) == 0.5) if len(alike) else same
+    found = np.full(len(ones), np.nan)
+    found[alike[exact]] = factor[exact]
+    return found
+
+
+def _verified(rows: Any, members: Indices, powers: Vector) -> Iterator[Parallel]:
+    """Yield the rows among `members` that are exactly parallel to the first of them, if there are any.
+
+    `powers` are the factors of the others that are powers of two.
+    """
+    if not np.isnan(powers).any():
+        yield Parallel(members, (ONE, *(Fraction(c) if c != 1 else ONE for c in powers.tolist())))
+        return
     entries = [slice(rows.indptr[i], rows.indptr[i + 1]) for i in members]
     columns, values = rows.indices[entries[0]], rows.data[entries[0]]
-    found, factors = [int(members[0])], [Fraction(1)]
+    found, factors = [int(members[0])], [ONE]
     for i, at in zip(members[1:], entries[1:], strict=True):
         factor = _factor(values, rows.data[at]) if np.array_equal(columns, rows.indices[at]) else None
         if factor is not None:
@@ -107,8 +142,6 @@ def _verified(rows: Any, members: Indices) -> Iterator[Parallel]:
 
 def _factor(values: Vector, others: Vector) -> Fraction | None:
     """Return the rational c with others = c * values, or None where there is none."""
-    if np.array_equal(values, others):
-        return Fraction(1)
     factor = Fraction(float(others[0])) / Fraction(float(values[0]))
     pairs = zip(values.tolist(), others.tolist(), strict=True)
     return factor if all(Fraction(other) == factor * Fraction(value) for value, other in pairs) else None
@@ -136,10 +169,8 @@ def held_by_ties(problem: ContactProblem) -> Indices:
 
     The tie takes whatever force such a contact might have.
     """
-    if not problem.ties:
-        return np.zeros(0, dtype=np.intp)
     m, held = problem.contacts, []
-    for group in parallel_rows(sp.csr_matrix(sp.vstack([problem.normal, problem.tie])), False):
+    for group in _groups(problem)[2]:
         ties = [(i - m, c) for i, c in zip(group.rows.tolist(), group.factors, strict=True) if i >= m]
         if not ties:
             continue
@@ -188,12 +219,19 @@ class Presolved:
         return replace(found, answer=replace(answer, normal_force=normal, tie_force=tie))
 
 
+def _groups(problem: ContactProblem) -> tuple[tuple[Parallel, ...], ...]:
+    """Return the parallel rows of contacts, of ties, and of both together; they are looked for once."""
+    if problem._computed.parallel_rows is None:
+        E, A = problem.normal, problem.tie
+        both = parallel_rows(sp.csr_matrix(sp.vstack([E, A])), False) if problem.ties else ()
+        problem._computed.parallel_rows = parallel_rows(E, True), parallel_rows(A, False), both
+    groups: tuple[tuple[Parallel, ...], ...] = problem._computed.parallel_rows
+    return groups
+
+
 def presolved(problem: ContactProblem) -> Presolved | None:
     """Return the frictionless problem without idle and parallel rows; None where there are none of these."""
-    groups = problem._computed.parallel_rows
-    if groups is None:
-        groups = parallel_rows(problem.normal, True), parallel_rows(problem.tie, False)
-        problem._computed.parallel_rows = groups
+    groups = _groups(problem)
     tied = held_by_ties(problem)
     idle, notes = np.union1d(never_close(problem), tied), list[str]()
     contacts = _shares(problem.contacts, [(g.rows, *g.tightest(problem.gap)) for g in groups[0]], idle)

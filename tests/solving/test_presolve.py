@@ -77,6 +77,16 @@ def test_factors_that_are_no_doubles_are_rational_numbers() -> None:
     assert at.tolist() == [1]
 
 
+def test_rows_that_are_others_times_powers_of_two_are_found_and_tiny_entries_are_compared_as_fractions() -> None:
+    rows = np.array([[0.1, -0.3, 0.0], [0.2, -0.6, 0.0], [0.0, 0.1, -0.3], [0.05, -0.15, 0.0], [0.2, -0.6, 1e-300]])
+    (group,) = parallel_rows(sp.csr_matrix(rows), signed=True)
+    assert (group.rows.tolist(), group.factors) == ([0, 1, 3], (1, 2, Fraction(1, 2)))
+    least = np.nextafter(0.0, 1.0)  # half of three times this is not a double, and neither is half of it
+    assert not parallel_rows(sp.csr_matrix([[1.0, 3 * least], [0.5, 2 * least]]), signed=True)
+    (group,) = parallel_rows(sp.csr_matrix([[1.0, 4 * least], [0.5, 2 * least]]), signed=True)
+    assert group.factors == (1, Fraction(1, 2))
+
+
 @pytest.mark.parametrize("n", SIZES)
 def test_contacts_out_of_reach_within_bounds_are_set_aside_and_those_at_its_end_are_not(n: int) -> None:
     box = sp.vstack([sp.identity(n), -sp.identity(n)], format="csr")
