@@ -35,6 +35,11 @@ QUANTITIES = ("displacement", *FORCES, "gap", "slip", "reaction", "energy")
 PARAMETERS = (*VECTORS, "stiffness", "rows")
 # A direction of the stiffness is symmetric to this part of its largest entry.
 SYMMETRIC = 1e-12
+# Why there is no bound.
+IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
+UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
+SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
+UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
 
@@ -62,6 +67,7 @@ class Derivative(ReadOnly):
     bound: Any = None
     reach: tuple[float, float] | None = None
     reason: str = ""
+    bound_reason: str = ""
 
 
 @checked
@@ -203,6 +209,24 @@ def _may_be_bounded(linearised: Linearised) -> bool:
     return linearised.has_bounds and _is_proven(linearised.solution)
 
 
+def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> str:
+    """Return why rates, which contacts may share, have no bound; empty where they have one."""
+    if bound is not None:
+        return ""
+    if not _is_proven(linearised.solution):
+        reasons = linearised.solution.certificate.reasons
+        return "the answer is not proven" + (f": {reasons[0]}" if reasons else "")
+    if linearised.is_sparse:
+        return "bounds follow from condensed contacts, and these are too many, never close or have rows of zeros"
+    if linearised.turns:
+        return IN_SPACE if linearised.system is None else UNTOLD
+    if linearised.redundant or shared:
+        return SHARED
+    if linearised.has_bounds:
+        return UNREFINED
+    return f"{linearised.at_border()}, within what refinement leaves of zero, and may be beside the border"
+
+
 def _refuse_unknown(
     solution: Solution, of: str, with_respect_to: str, parameters: tuple[str, ...] = PARAMETERS
 ) -> None:
@@ -242,7 +266,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
         rate, error = _rate_of_energy(linearised, direction)
         bound = error if _may_be_bounded(linearised) else None
-        return Derivative(rate, rate, rate, True, bound)
+        return Derivative(rate, rate, rate, True, bound, bound_reason=_why_unbounded(linearised, bound))
     try:
         back, ahead = linearised.sides(direction)
     except NoRates as none:
@@ -263,7 +287,8 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     if seen and _may_be_bounded(linearised):
         both = [_of_rates(linearised, of, rates, direction)[1] for rates in (back, ahead)]
         bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
-    return Derivative(right if same else None, left, right, same, bound, reach, reason)
+    without = _why_unbounded(linearised, bound, back.shared or ahead.shared)
+    return Derivative(right if same else None, left, right, same, bound, reach, reason, without)
 
 
 def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""What rates are made of: parts of data and of solutions, directions, and the law of slips near an answer.
+"""What rates are made of: directions, parts of data and of solutions, factorised states and the law of slips.
 
 In space friction turns with the slip s: of a contact that slips mu l_N t changes at the rate mu dl_N t + C ds, with
 t = s/|s| and C = mu l_N / |s| (I - t t'). Both are those of the exact answer, which doubles round: taken at an answer
@@ -8,14 +8,19 @@ in twice double precision they are known as well as this is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, two_product, two_sum
-from contactqp.model.arrays import EPS, Array, Vector
-from contactqp.model.coulomb import OPEN, STICK, Status
+from contactqp.linalg.friction_states import StateSystem, slip_directions
+from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
 
@@ -128,6 +133,25 @@ class Rates(AnswerOf[Vector, Array]):
         """Return the rates towards minus a direction from those along its reverse."""
         kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared, off=self.off)
         return Rates(**{name: 0.0 - value for name, value in vars(self).items() if name not in kept}, **kept)
+
+
+def with_reaction(
+    problem: ContactProblem, direction: Direction, found: Parts, friction: Array, status: Status, bound: Parts | None
+) -> Rates:
+    """Return rates with those of gaps, slips and reactions.
+
+    Parameters
+    ----------
+    problem, direction : the problem of the answer, and what the rates are along
+    found, friction : rates of displacement and forces, and of friction (m, d-1)
+    status, bound : the states that contacts are in, and what displacement and forces are off by
+    """
+    u, slip = found.displacement, -direction.slip_origin
+    if problem.tangent is not None:
+        slip = slip + (problem.tangent @ u).reshape(slip.shape)
+    gap = direction.whole_gap - problem.normal @ u
+    reaction = direction.load + direction.strained - problem.stiffness_rows @ u
+    return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,3 +294,75 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 3
     errors = sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u) + more
     return errors.reshape(getattr(rates, of).shape)
+
+
+class FactorisedStates(Protocol):
+    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
+
+    @property
+    def contraction(self) -> float | None:
+        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        """Return a solution in double precision."""
+
+
+class Frictionless:
+    """The saddle point of closed contacts and ties, which is symmetric."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
+        self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
+        self._saddle = saddle_point(condensation, closed)
+        self.redundant = self._saddle.redundant
+
+    @property
+    def contraction(self) -> float | None:
+        return self._saddle.contraction
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        del transposed
+        data = left.displacement, left.normal[self._closed], left.tie
+        du, dl, tie = self._condensation.correction(self._saddle, *data)
+        normal = np.zeros(self._contacts)
+        normal[self._closed] = dl
+        return Parts(du, normal, np.zeros_like(left.tangent), tie)
+
+
+class Frictional:
+    """The system of one combination of open, stick and slip at an answer.
+
+    Parameters
+    ----------
+    problem, condensation : with friction, and its condensation
+    status : (m,) array of int, the combination
+    answer : displacement and forces, and slips in place of friction
+    """
+
+    contraction: float | None = None  # of corrections by dense factors, which cost little
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
+        rows = condensed_frictional_rows(problem, condensation)
+        self._problem, self._shape = problem, shape_of_tangents(problem)
+        slip = answer.tangent.ravel()
+        self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
+        self._system = StateSystem(condensation, rows, status, self.directions, scaled)
+        self.regular = self._system.regular
+        across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
+        turns = np.zeros(self._shape[0])
+        if scaled is not None and problem.friction is not None:
+            size = np.linalg.norm(answer.tangent, axis=1)
+            turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
+        self.turns, self.turning = turns, turns[:, None, None] * across  # (m,), (m, d-1, d-1)
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        data = left.displacement, left.normal, left.tangent.ravel(), left.tie
+        return Parts.of(self._system.correct(*data, transposed=transposed))
+
+    def unresolved(self) -> list[Parts]:
+        """Return a basis of what may be added to solutions."""
+        return [Parts.of(one) for one in self._system.unresolved()]
+
+
+def closed_on(problem: ContactProblem, contacts: Indices) -> Status:
+    """Return states (m,) in which these contacts alone are closed, without friction."""
+    return np.where(np.isin(np.arange(problem.contacts), contacts), SLIP_ON, OPEN).astype(np.int8)

@@ -16,19 +16,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, SlipLaw, Solved, shape_of_tangents, times
+from contactqp.analysis.rate_data import (
+    ROUNDED,
+    Direction,
+    FactorisedStates,
+    Frictional,
+    Frictionless,
+    Parts,
+    Rates,
+    SlipLaw,
+    Solved,
+    errors_of,
+    shape_of_tangents,
+    times,
+    with_reaction,
+)
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import condensed_frictional_rows
-from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
-from contactqp.linalg.friction_states import StateSystem, slip_directions
-from contactqp.linalg.refinement import CAUTION, INVISIBLE
+from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY
 from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -45,17 +56,6 @@ ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
 PROBES, ALIKE = 3, 16.0
 # Of fewer unknowns, whose factors are dense or nearly so, refinement costs next to nothing.
 LARGE = 2000
-
-
-class _System(Protocol):
-    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
-
-    @property
-    def contraction(self) -> float | None:
-        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        """Return a solution in double precision."""
 
 
 # A solution, what its data are off by or None where that is not known, and friction where slips turn.
@@ -89,13 +89,13 @@ class RateSystem:
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._unit, self._answer = condensation.unknown_scale, answer
         with_friction = problem.frictional
-        self._system: _System
+        self._system: FactorisedStates
         if with_friction:
-            frictional = _Frictional(problem, condensation, status, answer)
+            frictional = Frictional(problem, condensation, status, answer)
             self._system, self.regular, self.redundant = frictional, frictional.regular, False
             self.directions, self.turning, turns = frictional.directions, frictional.turning, frictional.turns
         else:
-            plain = _Frictionless(problem, condensation, self.closed)
+            plain = Frictionless(problem, condensation, self.closed)
             self._system, self.redundant = plain, plain.redundant
             self.regular = not plain.redundant
             self.directions = np.zeros(shape_of_tangents(problem))
@@ -172,6 +172,81 @@ class RateSystem:
         done = settled or size <= ENOUGH * whole_size
         return Solved(found, self._bound(found, remainder), done, tuple(y), remainder, transposed)
 
+    def rates(self, direction: Direction, push: Vector, known: Solved | None) -> Rates | None:
+        """Return the rates along a direction, None where refinement led nowhere.
+
+        Parameters
+        ----------
+        direction : that of load, gaps, stiffness and so on
+        push : (m,) array, contact forces of the answer [force]
+        known : the answer beyond doubles, where it is known
+        """
+        problem = self._problem
+        load, slip_origin = direction.whole_load, direction.slip_origin
+        own = np.zeros_like(slip_origin)  # of the friction of contacts that slip, besides what the rates make
+        if problem.tangent is not None and problem.frictional:
+            own = (direction.friction * push)[:, None] * self.directions
+            own -= np.einsum("mij,mj->mi", self.turning, slip_origin)
+            load = load - problem.tangent.T @ own.ravel()
+        tie_value = direction.tie_value
+        if (begin := self.across) is not None:
+            tie_value = np.concatenate([tie_value, np.sum(begin[1] * slip_origin[begin[0]], axis=1)])
+        data = Parts(load, direction.whole_gap, slip_origin, tie_value)
+        solved, off, friction = self.solve(data), None, None
+        if not solved.settled:
+            return None
+        if self.across is None and known is not None and (direction.by_answer or self.turns):
+            solved, off, friction = self.completed(solved, data, own, direction, known)
+        rates = self.of_parts(direction, solved.found, solved.bound, own)
+        rates = rates if friction is None else replace(rates, friction_force=friction)
+        return replace(rates, off=off, gap=self.gap(solved, data.normal) if direction.rows is None else rates.gap)
+
+    def where_signs_hold(
+        self,
+        direction: Direction,
+        push: Vector,
+        known: Solved | None,
+        sides: tuple[NDArray[np.intp], NDArray[np.intp]],
+        margin: float,
+    ) -> Rates | None:
+        """Return rates without friction and their bounds, None where these are not known or their signs do not hold.
+
+        Parameters
+        ----------
+        direction, push, known : as in `rates`
+        sides : contacts that are to push at these rates, and contacts that are to open or to stay
+        margin : so many bounds signs may be off; of less than none they must be told from zero
+        """
+        found = self.rates(direction, push, known) if self.regular else None
+        if found is None or found.bound is None:
+            return None
+        closing, opening = sides
+        off = errors_of(self._problem, "gap", found, direction)
+        signs = np.concatenate([found.normal_force[closing], found.gap[opening]])
+        signs += margin * np.concatenate([found.bound.normal[closing], off[opening]])
+        return found if np.all(signs > 0 if margin < 0 else signs >= 0) else None
+
+    def of_parts(self, direction: Direction, found: Parts, bound: Parts | None, own: Array) -> Rates:
+        """Return the rates that a solution of the system stands for.
+
+        Parameters
+        ----------
+        direction : what they are along
+        found, bound : the solution, and its bound
+        own : (m, d-1) array, the friction of slips that the data hold
+        """
+        problem, friction = self._problem, found.tangent
+        if problem.tangent is not None and problem.friction is not None and problem.frictional:
+            dragged = (problem.friction * found.normal)[:, None] * self.directions
+            moved = (problem.tangent @ found.displacement).reshape(friction.shape)
+            friction = friction + dragged + own + np.einsum("mij,mj->mi", self.turning, moved)
+        if (begin := self.across) is not None:
+            (contacts, across), ties = begin, problem.ties - len(begin[0])
+            friction = friction.copy()
+            friction[contacts] += found.tie[ties:, None] * across
+            found, bound = replace(found, tie=found.tie[:ties]), None
+        return with_reaction(problem, direction, found, friction, self.status, bound)
+
     def gap(self, solved: Solved, changes: Vector) -> Vector:
         """Return the rates of gaps (m,) whose own changes are given: bodies may move far, and gaps next to nothing."""
         u, push, *others = solved.extended
@@ -179,6 +254,24 @@ class RateSystem:
         found = (extend(changes) - self._exact.normal @ u).double()
         per = np.divide(1.0, self._sizes[0], out=np.zeros_like(found), where=self._sizes[0] > 0)
         return zero_beneath([found], [per], INVISIBLE * whole)[0]
+
+    def carries(self, known: Solved, touching: NDArray[np.intp]) -> bool:
+        """Return whether the answer on these closed contacts is seen to be the answer.
+
+        Each of them pushes, the others that touch do so to twice double precision, and all that do not are open.
+        """
+        problem, found = self._problem, known.found
+        if known.bound is None or not np.all(found.normal[self.closed] > known.bound.normal[self.closed]):
+            return False
+        u, finite = known.extended[0], np.isfinite(problem.gap)
+        given = np.where(finite, problem.gap, 0.0)
+        moved = known.remainder * self._unit + ROUNDED * abs(u.hi)
+        gaps, nothing = (
+            (extend(given) - self._exact.normal @ u).double(), abs(problem.normal) @ moved + ROUNDED * abs(given)
+        )  # fmt: skip
+        others, apart = np.setdiff1d(touching, self.closed), np.setdiff1d(np.flatnonzero(finite), touching)
+        touch = np.all(abs(gaps[others]) <= nothing[others] * (ROUNDED_AWAY / INVISIBLE))
+        return bool(touch and np.all(gaps[apart] > nothing[apart]))
 
     def answer(self) -> Solved:
         """Return the answer, solution for the problem's own data, with the friction of slips.
@@ -334,7 +427,7 @@ class RateSystem:
 
     def unresolved(self) -> list[Parts]:
         """Return a basis of what may be added to solutions, with friction and where the system has no inverse."""
-        assert isinstance(self._system, _Frictional)
+        assert isinstance(self._system, Frictional)
         return self._system.unresolved()
 
     def _bound(self, found: Parts, remainder: float) -> Parts | None:
@@ -387,52 +480,3 @@ class RateSystem:
                 (extend(right.tie) - exact.tie @ u).double(),
             )
         )
-
-
-class _Frictionless:
-    """The saddle point of closed contacts and ties, which is symmetric."""
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
-        self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
-        self._saddle = saddle_point(condensation, closed)
-        self.redundant = self._saddle.redundant
-
-    @property
-    def contraction(self) -> float | None:
-        return self._saddle.contraction
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        del transposed
-        data = left.displacement, left.normal[self._closed], left.tie
-        du, dl, tie = self._condensation.correction(self._saddle, *data)
-        normal = np.zeros(self._contacts)
-        normal[self._closed] = dl
-        return Parts(du, normal, np.zeros_like(left.tangent), tie)
-
-
-class _Frictional:
-    """The system of one combination of open, stick and slip at an answer."""
-
-    contraction: float | None = None  # of corrections by dense factors, which cost little
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
-        rows = condensed_frictional_rows(problem, condensation)
-        self._problem, self._shape = problem, shape_of_tangents(problem)
-        slip = answer.tangent.ravel()
-        self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
-        self._system = StateSystem(condensation, rows, status, self.directions, scaled)
-        self.regular = self._system.regular
-        across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
-        turns = np.zeros(self._shape[0])
-        if scaled is not None and problem.friction is not None:
-            size = np.linalg.norm(answer.tangent, axis=1)
-            turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
-        self.turns, self.turning = turns, turns[:, None, None] * across  # (m,), (m, d-1, d-1)
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        data = left.displacement, left.normal, left.tangent.ravel(), left.tie
-        return Parts.of(self._system.correct(*data, transposed=transposed))
-
-    def unresolved(self) -> list[Parts]:
-        """Return a basis of what may be added to solutions."""
-        return [Parts.of(one) for one in self._system.unresolved()]

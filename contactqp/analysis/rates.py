@@ -43,7 +43,7 @@ from contactqp.analysis.border_states import (
     sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.rate_data import Direction, Parts, Rates, Solved, errors_of, shape_of_tangents
+from contactqp.analysis.rate_data import Direction, Parts, Rates, Solved, closed_on, shape_of_tangents, with_reaction
 from contactqp.analysis.rate_systems import LARGE, SAME, RateSystem
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
@@ -53,7 +53,7 @@ from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, 
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.nonnegative import Sharing, width_within
 from contactqp.linalg.refinement import INVISIBLE
-from contactqp.model.arrays import TINY, Array, Indices, Vector
+from contactqp.model.arrays import TINY, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at, number_of_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
@@ -85,6 +85,7 @@ class Linearised:
     status : (m,) array, the states of the others
     push : (m,) array, contact forces [force]
     system : RateSystem or None, None where some are undecided, or nothing is condensed
+    is_sparse : bool, whether nothing is condensed
     sure : bool, whether what is near a border of two states was looked at beyond double precision, or nothing is near
     """
 
@@ -105,8 +106,8 @@ class Linearised:
         """Find the states of the contacts, and the system of their rates where no state is undecided."""
         problem = self.problem
         # What is not condensed as it stands: contacts that never close, and rows of zeros, constrain nothing.
-        self._sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
-        if self._sparse and problem.frictional:
+        self.is_sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
+        if self.is_sparse and problem.frictional:
             raise Unsupported(
                 "derivatives: with friction, of contacts that are condensed alone; leave out those that never close, "
                 "and rows of zeros"
@@ -127,7 +128,9 @@ class Linearised:
         self._systems: dict[bytes, RateSystem] = {}
         self._posed: dict[bytes, ContactProblem] = {}
         self.redundant = self._forces_depend()
-        whole = not (self._sparse or len(self.undecided))
+        if self.redundant and len(self.grazing) and self.sharings_are_few and not self.is_sparse:
+            self._close_what_may_push()
+        whole = not (self.is_sparse or len(self.undecided))
         self.system = self._system(self.status) if whole else None
 
     def _decide(self) -> None:
@@ -154,7 +157,7 @@ class Linearised:
             self.status, self.grazing, self._at_bound = decided_in_space(
                 problem, self.status, self.grazing, answer, self._gap, self._slip
             )
-        elif (len(near) or problem.dimension <= LARGE) and not (self._sparse or in_space):
+        elif (len(near) or problem.dimension <= LARGE) and not (self.is_sparse or in_space):
             status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
@@ -172,7 +175,7 @@ class Linearised:
         """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
         if self.problem.frictional:
             return False  # the system says it
-        if self._sparse:  # nothing is condensed, and the certificate has looked
+        if self.is_sparse:  # nothing is condensed, and the certificate has looked
             return any(bounds.REDUNDANT in reason for reason in self.solution.certificate.reasons)
         if not saddle_point(condense(self.problem), self._touching).redundant:
             return False
@@ -180,6 +183,13 @@ class Linearised:
             return True
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
         return self._sharing.takes_part(np.isin(self._touching, self.grazing))
+
+    def _close_what_may_push(self) -> None:
+        """Take contacts without force that have some where all share their forces otherwise for closed."""
+        stay = self._sharing.stay(self._resultant, np.zeros_like(self.push), np.zeros(self.problem.ties))
+        closed = np.union1d(self.closed, [] if stay is None else stay).astype(np.intp)
+        self.closed, self.status = closed, closed_on(self.problem, closed)
+        self.grazing = self.undecided = np.setdiff1d(self.grazing, closed)
 
     def _system(self, status: Status, rates: Rates | None = None) -> RateSystem:
         """Return the system of some states; `rates` has slips that begin in any direction of a plane, and pushes."""
@@ -207,7 +217,7 @@ class Linearised:
     @property
     def has_events(self) -> bool:
         """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
-        return not self.turns and (not self.redundant or not self._sparse or self.sharings_are_few)
+        return not self.turns and (not self.redundant or not self.is_sparse or self.sharings_are_few)
 
     @property
     def turns(self) -> bool:
@@ -222,8 +232,10 @@ class Linearised:
     @property
     def has_bounds(self) -> bool:
         """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
-        known = self.extended_answer if self.turns else None
-        return self.sure and (not self.turns or (known is not None and known.bound is not None))
+        if not (self.turns or self.redundant):
+            return self.sure
+        known = self.extended_answer
+        return (self.redundant or self.sure) and known is not None and known.bound is not None
 
     def only(self, of: str) -> bool:
         """Return whether normal or tie forces are unique although contacts or ties are redundant."""
@@ -238,7 +250,7 @@ class Linearised:
     @property
     def sharings_are_few(self) -> bool:
         """Return whether so few contacts touch that every sharing of their forces can be tried."""
-        few = not self._sparse or self.problem.ties <= MOST_SHARING
+        few = not self.is_sparse or self.problem.ties <= MOST_SHARING
         return few and len(self._touching) <= MOST_SHARING
 
     @property
@@ -262,7 +274,7 @@ class Linearised:
         shifted = self._is_shifted(direction)
         if self.system is not None and not shifted:
             ahead = self._in_states(self.system, direction)
-            return ahead, ahead
+            return ahead, self._carried(ahead, direction) if self.redundant else ahead
         towards = self._among_states if self.problem.frictional else self._by_problem
         ahead = towards(direction)
         if len(self.undecided) or shifted:
@@ -284,61 +296,23 @@ class Linearised:
 
     def _in_states(self, system: RateSystem, direction: Direction) -> Rates:
         """Return the rates in one combination of states."""
-        problem = self.problem
-        load, slip_origin = direction.whole_load, direction.slip_origin
-        own = np.zeros_like(slip_origin)  # of the friction of contacts that slip, besides what the rates make
-        if problem.tangent is not None and problem.frictional:
-            own = (direction.friction * self.push)[:, None] * system.directions
-            own -= np.einsum("mij,mj->mi", system.turning, slip_origin)
-            load = load - problem.tangent.T @ own.ravel()
-        tie_value = direction.tie_value
-        if (begin := system.across) is not None:
-            tie_value = np.concatenate([tie_value, np.sum(begin[1] * slip_origin[begin[0]], axis=1)])
-        data = Parts(load, direction.whole_gap, slip_origin, tie_value)
         known = self.extended_answer if direction.by_answer or system.turns else None
-        solved, off, friction = system.solve(data), None, None
-        if not solved.settled:
+        found = system.rates(direction, self.push, known)
+        if found is None:
             raise NoRates(SINGULAR)
-        if system.across is None and known is not None:
-            solved, off, friction = system.completed(solved, data, own, direction, known)
-        rates = self._of_parts(system, direction, solved.found, solved.bound, own)
-        rates = rates if friction is None else replace(rates, friction_force=friction)
-        return replace(rates, off=off, gap=rates.gap if direction.by_answer else system.gap(solved, data.normal))
+        return found
 
     @cached_property
     def extended_answer(self) -> Solved | None:
         """The answer in twice double precision, from the system of its states; None at a border in space."""
-        if self._sparse or (self._in_space and self.system is None):
+        if self.is_sparse or (self._in_space and self.system is None):
             return None
+        if self.redundant:
+            zero = Direction.zero(self.problem)
+            carried = self._carrying(zero.gap, zero.tie_value)
+            return None if carried is None else carried[1]
         system = self._system(self.status)
         return system.answer() if system.regular else None
-
-    def _of_parts(
-        self, system: RateSystem, direction: Direction, found: Parts, bound: Parts | None, own: Array
-    ) -> Rates:
-        problem = self.problem
-        friction = found.tangent
-        if problem.tangent is not None and problem.friction is not None and problem.frictional:
-            dragged = (problem.friction * found.normal)[:, None] * system.directions
-            moved = (problem.tangent @ found.displacement).reshape(friction.shape)
-            turned = np.einsum("mij,mj->mi", system.turning, moved)
-            friction = friction + dragged + own + turned
-        if (begin := system.across) is not None:
-            contacts, across = begin
-            friction = friction.copy()
-            friction[contacts] += found.tie[problem.ties :, None] * across
-            found, bound = replace(found, tie=found.tie[: problem.ties]), None
-        return self._with_reaction(direction, found, friction, system.status, bound)
-
-    def _with_reaction(
-        self, direction: Direction, found: Parts, friction: Array, status: Status, bound: Parts | None
-    ) -> Rates:
-        problem, u, slip = self.problem, found.displacement, -direction.slip_origin
-        if problem.tangent is not None:
-            slip = slip + (problem.tangent @ u).reshape(slip.shape)
-        gap = direction.whole_gap - problem.normal @ u
-        reaction = direction.load + direction.strained - problem.stiffness_rows @ u
-        return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
     def _by_problem(self, direction: Direction) -> Rates:
         """Return the rates without friction as the answer of a problem whose contacts are those that graze.
@@ -357,7 +331,7 @@ class Linearised:
                 if np.any(abs(turn @ more) > SEEN * (abs(turn) @ abs(more))):
                     raise NoRates(REDUNDANT)
                 load = direction.load + direction.strained - turn @ force
-            status = np.where(np.isin(np.arange(problem.contacts), closed), SLIP_ON, OPEN).astype(np.int8)
+            status = closed_on(problem, closed)
         if closed.tobytes() not in self._posed:
             self._posed[closed.tobytes()] = rates_posed(problem, closed, grazing)
         value = np.concatenate([direction.tie_value, limit[closed]])
@@ -373,8 +347,9 @@ class Linearised:
         parts = Parts(found.displacement, force, tangents, found.tie_force[:k].copy())
         many = any(bounds.REDUNDANT in one for one in found.certificate.reasons)
         shared = bool(np.any(found.normal_force > 0)) and many
-        rates = replace(self._with_reaction(direction, parts, tangents, status, None), shared=shared)
-        return self._bounded(rates, direction) or rates
+        rates = replace(with_reaction(problem, direction, parts, tangents, status, None), shared=shared)
+        shared = self.redundant or (shared and not self.is_sparse)
+        return self._carried(rates, direction) if shared else self._bounded(rates, direction) or rates
 
     @property
     def _resultant(self) -> Vector:
@@ -386,25 +361,51 @@ class Linearised:
 
         None where they are shared, where nothing is condensed, or where their signs in these states do not hold.
         """
-        if self._sparse or rates.shared or self.redundant:
+        if self.is_sparse or rates.shared:
             return None
-        status = self.status.copy()
-        status[self.grazing[rates.normal_force[self.grazing] > 0]] = SLIP_ON
-        system = self._system(status)
-        if not system.regular:
+        status, pushes = self.status.copy(), rates.normal_force[self.grazing] > 0
+        status[self.grazing[pushes]] = SLIP_ON
+        known = self.extended_answer if direction.by_answer else None
+        sides = self.grazing[pushes], self.grazing[~pushes]
+        found = self._system(status).where_signs_hold(direction, self.push, known, sides, 1.0)
+        return None if found is None else replace(found, status=self.status)
+
+    def _carrying(self, gap: Vector, tie_value: Vector) -> tuple[Indices, Solved] | None:
+        """Return contacts whose rows are independent and that carry all, and the answer beyond doubles on them.
+
+        Of those that may as gaps (m,) and tie values (k,) change; None where that is not seen to be the answer.
+        """
+        if self.is_sparse or not self.sharings_are_few:
             return None
-        try:
-            found = self._in_states(system, direction)
-        except NoRates:
+        carrying = self._sharing.carrying(self._resultant, gap, tie_value)
+        if carrying is None:
             return None
-        if found.bound is None:
-            return None
-        push, gap = (
-            found.normal_force + found.bound.normal,
-            found.gap + errors_of(self.problem, "gap", found, direction),
-        )
-        holds = np.where(status != OPEN, push, gap)[self.grazing] >= 0
-        return replace(found, status=self.status) if holds.all() else None
+        system = self._system(closed_on(self.problem, carrying))
+        known = system.answer() if system.regular else None
+        return (carrying, known) if known is not None and system.carries(known, self._touching) else None
+
+    def _carried(self, rates: Rates, direction: Direction) -> Rates:
+        """Return rates at redundant contacts with bounds of their errors, where independent ones carry the changes.
+
+        Forces of contacts that carry the answer, and of more that push at their rates, are a sharing: where its signs
+        hold the rates of the displacement are those of the system of these contacts. Along rows, which make other
+        sharings possible, all signs must be told from zero.
+        """
+        without = replace(rates, bound=None, off=None)
+        shift = (direction.whole_gap, direction.tie_value) if self._is_shifted(direction) else None
+        found = self._carrying(*(shift or (np.zeros_like(self.push), np.zeros(self.problem.ties))))
+        if found is None:
+            return without
+        carrying, known = found
+        turned = 0.0 if direction.rows is None else -(direction.rows.T @ known.found.normal)
+        turns, whole = self.scales.of("gap", rates.gap), self.scales.largest(rates)
+        may = self._touching[abs(turns[self._touching]) <= SAME * whole]
+        joining = self._sharing.joining(rates.reaction + turned, carrying, may)
+        system = self._system(closed_on(self.problem, np.union1d(carrying, joining).astype(np.intp)))
+        sides = joining, np.setdiff1d(self._touching, system.closed)
+        margin = 0.0 if direction.rows is None else -1.0
+        exact = system.where_signs_hold(direction, self.push, known, sides, margin)
+        return without if exact is None else replace(exact, status=rates.status, shared=rates.shared)
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
@@ -454,7 +455,7 @@ class Linearised:
         many = NoRates(f"{named(self.problem, self.undecided)} may come to share forces or motions in many ways")
         if self._drag.shape[1] > 1:
             raise many
-        basis = [self._of_parts(system, zero, part, None, zero.slip_origin) for part in system.unresolved()]
+        basis = [system.of_parts(zero, part, None, zero.slip_origin) for part in system.unresolved()]
         if not basis:
             return
         turns = np.column_stack([self.borders.signs(one, zero, system) for one in basis])

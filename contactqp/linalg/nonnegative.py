@@ -262,15 +262,54 @@ class Sharing:
         own = own[np.any(own != 0, axis=1)]  # rows of zeros exert nothing, and have no force
         return len(self._basis) == len(own) + _rank(others)
 
+    def _cost(self, gap: Vector, tie_value: Vector) -> Vector:
+        """Return what a unit of each force costs as gaps (m,) and tie values (k,) change, the largest one."""
+        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
+        return np.asarray(cost / (np.max(abs(cost), initial=0.0) or 1.0))
+
+    def _least(self, resultant: Vector, cost: Vector) -> tuple[Any, Array, Vector]:
+        """Return the linear program of the forces that cost least, its rows and what these are to exert."""
+        from scipy.optimize import linprog
+
+        span, told = self._basis @ self.rows.T, self._told(resultant)
+        told = told / (np.max(abs(told), initial=0.0) or 1.0)
+        return linprog(cost, A_eq=span, b_eq=told, bounds=self._limits, method="highs-ds"), span, told
+
+    def carrying(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
+        """Return contacts, independent of one another, that may carry all as gaps (m,) and tie values (k,) change."""
+        least, _, _ = self._least(resultant, self._cost(gap, tie_value))
+        if least.status != 0:
+            return None
+        force = least.x[: len(self._contacts)]
+        return np.asarray(self._contacts[force > CARRIES * np.max(abs(least.x), initial=0.0)], dtype=np.intp)
+
+    def joining(self, resultant: Vector, carrying: Indices, may: Indices) -> Indices:
+        """Return contacts among those that may, independent of what carries and of ties, that push for the rest of it.
+
+        Parameters
+        ----------
+        resultant : (n,) array, the force that all of them exert
+        carrying, may : contacts whose forces have any sign, and contacts that can push
+        """
+        free = np.concatenate([np.isin(self._contacts, carrying), np.ones(len(self.rows) - len(self._contacts), bool)])
+        _, sizes, basis = np.linalg.svd(self.rows[free], full_matrices=False)
+        held = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
+        places = np.flatnonzero(np.isin(self._contacts, np.setdiff1d(may, carrying)))
+        told = (resultant * self._unit)[self._felt]
+        rest, rows = (one - (one @ held.T) @ held for one in (told, self.rows[places]))
+        pushing = np.linalg.norm(rows, axis=1) > DEPENDENT_ROWS
+        size = np.linalg.norm(rest)
+        if not (pushing.any() and size > CARRIES * np.linalg.norm(told)):
+            return carrying[:0]
+        force, _ = forces_without_tension(rows[pushing], rest / size, np.ones(int(pushing.sum()), dtype=bool))
+        return np.asarray(self._contacts[places[pushing][force > CARRIES]], dtype=np.intp)
+
     def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
         """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
         from scipy.optimize import linprog
 
-        span, told = self._basis @ self.rows.T, self._told(resultant)
-        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
-        cost /= np.max(abs(cost), initial=0.0) or 1.0
-        told = told / (np.max(abs(told), initial=0.0) or 1.0)
-        least = linprog(cost, A_eq=span, b_eq=told, bounds=self._limits)
+        cost = self._cost(gap, tie_value)
+        least, span, told = self._least(resultant, cost)
         if least.status != 0:
             return None
         span, told = np.vstack([span, cost]), np.append(told, least.fun)
