@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.analysis.friction_events import ExactPath, Segment
-from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, step_to
+from contactqp.analysis.friction_step import Anchors, PlaneStepper, SolveStepper, State, Stepper, between, step_to
 from contactqp.analysis.history import Event, History, LazySolutions, contact_changes
 from contactqp.certificate.certificate import holds
 from contactqp.certificate.uniqueness import SEVERAL
@@ -193,6 +193,7 @@ class FrictionSteps(LazySolutions):
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
         self._stepper.turn(start, end)
+        self._corners = start, end
         self._leg += 1
         self._before = replace(self._before, fraction=0.0)
 
@@ -203,7 +204,7 @@ class FrictionSteps(LazySolutions):
         """
         try:
             with one_blas_thread(self._problem):
-                state = step_to(fraction, self._before, self._anchors, self._stepper.solve)
+                state = step_to(fraction, self._before, self._anchors, self._stepper.solve, self._refuse_driven)
                 self._keep(state, Anchors(state.settled, state.touching))
         except NoEquilibrium as error:
             message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
@@ -216,6 +217,12 @@ class FrictionSteps(LazySolutions):
         except NotCertified as error:
             message = f"follow_path: at t = {self._leg + fraction:.6g}: {error}"
             raise NotCertified(message, error.solution) from error
+
+    def _refuse_driven(self, fraction: float) -> None:
+        """Raise NoEquilibrium where the load drives a motion that contacts, slipping from anywhere, do not hold."""
+        if not (iterated(self._problem) or contacts_are_many(self._problem)):
+            problem = self._problem.replace(load=between(*self._corners, fraction))
+            refuse_driven_motion(problem, condense(problem).rigid)
 
     def _keep(self, state: State, anchors: Anchors) -> None:
         self._before = state = self._stepper.accept(state)

@@ -38,6 +38,9 @@ from contactqp.solving.solve import solve
 MOST_LOADS = 60
 # A bracket of this part of the leg holds a jump: no load shows the contact touching.
 JUMP = 1e-13
+# Loads of one step under which algorithms found no answer before the search for where contacts close is given up: each
+# of them has then tried everything, which takes many times as long as an answer.
+MOST_FAILED = 2
 # Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
 HALVINGS = 30
 # A gap of this part of the lengths that meet is rounding.
@@ -106,8 +109,32 @@ class Anchors:
     anchored: Mask  # (m,)
 
 
-def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> State:
+class _Attempts:
+    """The equilibria of one step from slip origins that stay, and how many of them no algorithm found."""
+
+    def __init__(self, solve: Solve) -> None:
+        self._solve, self.failed = solve, 0
+
+    def __call__(self, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
+        """Return the state, or None where the bodies without these contacts have no equilibrium that is found."""
+        if self.failed >= MOST_FAILED:
+            return None
+        try:
+            return self._solve(fraction, origin, held_open)
+        except (NoEquilibrium, SeveralEquilibria):
+            return None
+        except (NotConverged, NotCertified):
+            self.failed += 1
+            return None
+
+
+def step_to(
+    fraction: float, before: State, anchors: Anchors, solve: Solve, refuse: Callable[[float], None] = lambda _: None
+) -> State:
     """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
+
+    Where too many loads within the step have no answer that algorithms find, those that are left count as closed from
+    the start of the step on.
 
     Raises NoEquilibrium, SeveralEquilibria, NotConverged: of the solve at the end of the step, all contacts anchored.
 
@@ -117,32 +144,27 @@ def step_to(fraction: float, before: State, anchors: Anchors, solve: Solve) -> S
     before : the state at its start
     anchors : the tangential positions there, and which contacts are anchored
     solve : function, the equilibrium at a fraction, from slip origins, with contacts that are kept open
+    refuse : function of a fraction, raises NoEquilibrium where no contacts, wherever they slip from, hold its load
     """
     origin, anchored = anchors.position.copy(), anchors.anchored.copy()
-    low = before
+    low, attempt = before, _Attempts(solve)
     while True:
-        high = None if np.all(anchored) else _tried(solve, fraction, origin=origin, held_open=~anchored)
-        if high is None and np.all(anchored):
+        if np.all(anchored):
             return solve(fraction, origin, ~anchored)
+        high = attempt(fraction, origin=origin, held_open=~anchored)
         if high is not None and not np.any(high.overlap):
             return high
-        touched = _first_touch(low, high, fraction, partial(_tried, solve, origin=origin, held_open=~anchored))
-        if touched is None:
+        if high is None:
+            refuse(fraction)
+        touched = _first_touch(low, high, fraction, partial(attempt, origin=origin, held_open=~anchored))
+        if touched is not None:
+            closing = ~anchored & (touched.touching | touched.overlap)
+            origin[closing] = touched.settled[closing]
+            anchored |= closing
+            low = touched
+        if touched is None or attempt.failed >= MOST_FAILED:
             # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
             anchored[:] = True
-            continue
-        closing = ~anchored & (touched.touching | touched.overlap)
-        origin[closing] = touched.settled[closing]
-        anchored |= closing
-        low = touched
-
-
-def _tried(solve: Solve, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
-    """Return the state, or None where the bodies without these contacts have no equilibrium."""
-    try:
-        return solve(fraction, origin, held_open)
-    except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
-        return None
 
 
 def _first_touch(
@@ -222,13 +244,7 @@ class UncertifiedStep:
     meter: Meter
 
     def finish(self) -> Solution:
-        """Refine, expand and certify the answer, once.
-
-        Raises
-        ------
-        NotCertified
-            The certificate refuses the answer.
-        """
+        """Refine, expand and certify the answer, once; raise NotCertified where the certificate refuses it."""
         return self._finished
 
     @cached_property
@@ -276,8 +292,8 @@ class PlaneStepper:
         """Return the equilibrium at a fraction of the leg with slips from `origin` (m, 1)."""
         started = time.perf_counter()
         start, end = self._reduced
-        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
-        lengths = self._system.lengths(problem, _between(start, end, fraction))
+        problem = self._problem.replace(load=between(*self._leg, fraction), slip_origin=origin)
+        lengths = self._system.lengths(problem, between(start, end, fraction))
         try:
             with stage(METHOD):
                 found, combinations = search(self._system, lengths, self._status, held_open)
@@ -342,13 +358,16 @@ class SolveStepper:
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
-        self._leg, self._steps = (start, end), ()
+        self._leg, self._steps, self._driven = (start, end), (), False
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
         """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
-        problem = self._problem.replace(load=_between(*self._leg, fraction), slip_origin=origin)
+        problem = self._problem.replace(load=between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
-            _refuse_driven(problem)
+            self._driven = self._driven or _drives(problem)
+            if self._driven:
+                self._driven = not np.any(self._leg[0])  # then all loads of the leg are parts of one
+                raise NoEquilibrium("the load drives a body whose contacts are held open")
         if np.any(held_open) and self._stay_open(fraction, held_open):
             found = self._as_stated(problem, fraction, held_open)
             if found is not None:
@@ -362,10 +381,7 @@ class SolveStepper:
     def accept(self, state: State) -> State:
         """Return the state as a step of the path, with the gaps of the problem; the next solve starts from it.
 
-        Raises
-        ------
-        NotConverged
-            Contacts that do not reach their obstacle make a difference: there are several equilibria.
+        Raises NotConverged: contacts that do not reach their obstacle make a difference; there are several equilibria.
         """
         self._before = found = state.step.finish()
         gap = self._problem.gap
@@ -417,17 +433,17 @@ class SolveStepper:
         return solve(problem, self._method, warm_start=start, **self._options)
 
 
-def _between(start: Vector, end: Vector, fraction: float) -> Vector:
+def between(start: Vector, end: Vector, fraction: float) -> Vector:
+    """Return the load at a fraction of a leg."""
     return end if fraction == 1 else start + fraction * (end - start)
 
 
-def _refuse_driven(problem: ContactProblem) -> None:
-    """Raise where the load drives a body that no contact constrains: it would move until a contact closes."""
+def _drives(problem: ContactProblem) -> bool:
+    """Say whether the load drives a body that no contact constrains: it would move until a contact closes."""
     if problem.ties or iterated(problem) or contacts_are_many(problem):
-        return
+        return False
     nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
-    if balance(problem, nothing, condense(problem).rigid) > DRIVEN:
-        raise NoEquilibrium("the load drives a body whose contacts are held open")
+    return balance(problem, nothing, condense(problem).rigid) > DRIVEN
 
 
 def _widened(problem: ContactProblem, held_open: Mask) -> Iterator[ContactProblem]:

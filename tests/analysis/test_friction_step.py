@@ -138,6 +138,36 @@ def test_a_touch_is_found_past_a_kink(corner: float, touch: float) -> None:
     assert solve.asked < 20
 
 
+def test_a_step_whose_algorithms_fail_gives_up_the_search_for_where_contacts_close() -> None:
+    """Every load of the search was tried, by every algorithm: minutes for a step of a fraction of a second."""
+    bent, asked = _Bent(0.2, 0.9), []
+
+    def solve(fraction: float, origin: np.ndarray, held_open: np.ndarray) -> State:
+        asked.append(fraction)
+        return never() if np.any(held_open) else bent(fraction, origin, held_open)
+
+    before = bent(0.0, np.zeros((1, 1)), np.array([True]))
+    after = step_to(1.0, before, Anchors(before.position, np.array([False])), solve)
+    assert len(asked) == friction_step.MOST_FAILED + 1
+    assert after.touching[0]
+    np.testing.assert_array_equal(after.position, before.position)  # closed from the start of the step on
+
+
+def test_a_load_that_tips_a_body_over_is_refused_before_contacts_are_searched_for(monkeypatch) -> None:
+    """Which of its feet comes down first was searched for, at 30 loads and more, though at the end none holds it."""
+    asked, solve = [], friction_step.PlaneStepper.solve
+    monkeypatch.setattr(friction_step.PlaneStepper, "solve", lambda *arguments: asked.append(1) or solve(*arguments))
+    down, along = [[0.0, -1.0, 1.0], [0.0, -1.0, -1.0], [0.0, -1.0, 0.0]], [[1.0, 0.0, 0.0]] * 3
+    block = cq.ContactProblem(np.zeros((3, 3)), np.zeros(3), down, [0.0, 0.01, 1e-3], tangent=along, friction=0.5)
+    history = cq.follow_path(block, [[0.2, -1.0, 0.9]], steps=1)
+    np.testing.assert_allclose(history[-1].normal_force, [0.9, 0.0, 0.1], rtol=1e-9)
+    asked.clear()
+    with pytest.raises(cq.NoEquilibrium, match="t = 1: the load drives") as tipped:
+        cq.follow_path(block, [[0.2, -1.0, 1.1]], steps=1)
+    assert tipped.value.proof is not None
+    assert len(asked) <= 2
+
+
 def test_a_contact_that_does_not_close_keeps_no_anchor() -> None:
     solve = _Bent(0.2, 1.5)
     before = solve(0.0, np.zeros((1, 1)), np.array([True]))
