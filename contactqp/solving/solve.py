@@ -74,9 +74,10 @@ OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", 
 # Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
 # anchors for bodies that float, textbook systems in the numbers of the problem, Clarabel, and sparse systems; these
 # first where there are more constraints than unknowns, or than MANY_PIVOTS. Pivots are at most PIVOTS and
-# PIVOTS_OF_A_ROW for each constraint, and among more than MOST_PIVOTS, of which each takes long, they are left out.
+# PIVOTS_OF_A_ROW for each constraint, and among more than MOST_PIVOTS, of which each takes long, they are left out. At
+# last sparse systems are at most SYSTEMS and one for each constraint: a singular stiffness took hundreds in vain.
 PIVOTING = ("lemke", "lagrange-multiplier")
-MANY_PIVOTS, MOST_PIVOTS, PIVOTS, PIVOTS_OF_A_ROW = 100, 150, 200, 2
+MANY_PIVOTS, MOST_PIVOTS, PIVOTS, PIVOTS_OF_A_ROW, SYSTEMS = 100, 150, 200, 2, 20
 # The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "aclm", "enumeration")
 
@@ -298,8 +299,9 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
     pivots = {"max_iter": PIVOTS + PIVOTS_OF_A_ROW * constraints}
     routes = dict.fromkeys(PIVOTING, pivots) if constraints <= MOST_PIVOTS else {}
     routes = {route: {"method": route} | limits for route, limits in {**routes, "clarabel": {}}.items()}
-    sparse = {SPARSE: {"condense": False}}
-    return sparse | routes if constraints > min(problem.dimension, MANY_PIVOTS) else routes | sparse
+    if constraints > min(problem.dimension, MANY_PIVOTS):
+        return {SPARSE: {"condense": False}} | routes
+    return routes | {SPARSE: {"condense": False, "max_iter": SYSTEMS + constraints}}
 
 
 def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverged, same: dict[str, Any]) -> Solution:
@@ -390,15 +392,13 @@ def begin(
 ) -> Run:
     """Run a method; refinement and certificate, which need all unknowns, wait until `Run.finish` is called.
 
+    Raises NoEquilibrium, SeveralEquilibria, NotConverged, BackendFailed, BackendMissing, Unsupported, InvalidProblem as
+    `solve` does.
+
     Parameters
     ----------
     problem, method, tolerance, condense, polish, time_limit, max_iter, algorithm, **options : as in `solve`
     start : Candidate, optional
-
-    Raises
-    ------
-    NoEquilibrium, SeveralEquilibria, NotConverged, BackendFailed, BackendMissing, Unsupported, InvalidProblem
-        As `solve`.
     """
     refuse_arguments(tolerance, condense, polish, time_limit, max_iter)
     settings = Settings(tolerance, max_iter, time_limit, start, options)

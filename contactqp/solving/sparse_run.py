@@ -120,7 +120,7 @@ class SparseRun(Run):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
         super().__init__(problem, method)
-        self._effort = Effort(wasted=WASTED_AT_FIRST)
+        self._effort, self._most = Effort(wasted=WASTED_AT_FIRST), settings.max_iter or np.inf  # factorisations
         self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
         self._twin, self._scaling = equilibrated(problem)
         self._state: ClosedState | None = None
@@ -199,7 +199,7 @@ class SparseRun(Run):
         program = mostly_bare(self.problem)
         if not program:
             order = [other for other in order if other[2] != BALANCED_UNITS]
-        while order:
+        while order and self._effort.factorisations < self._most:
             name, tolerance, units = order.pop(0)
             refuse_late(f"{name} began")
             tell(f"{name} finds the closed contacts")
@@ -227,6 +227,9 @@ class SparseRun(Run):
                 if BROKE_DOWN in found.status or (program and not found.claimed):
                     order.sort(key=lambda other: other[0] != name)
                     self._effort.wasted, steps = WASTED, MOST_STEPS
+        if self._effort.factorisations >= self._most:
+            tried.append(f"{self._effort.factorisations} systems were solved")
+            return
         if self._state is None:
             self._effort.wasted, waiting = WASTED, tuple(self._waiting)
             yield from waiting
@@ -250,7 +253,8 @@ class SparseRun(Run):
         """Return the state that a candidate leads to (`solved_from`); it is kept if it solves the problem."""
         tell("sparse systems settle the closed contacts")
         hasty = self._effort.wasted < WASTED
-        self._effort.cut, self._effort.most = False, self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
+        most = self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
+        self._effort.cut, self._effort.most = False, min(most, self._most)
         answer = replace(self._scaling.scale(candidate.answer), friction_force=None)
         claimed = candidate.claimed or driven or not hasty
         state = solved_from(self._twin, answer, self._effort, driven, claimed)

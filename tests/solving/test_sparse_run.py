@@ -16,6 +16,8 @@ from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import extended, pardiso, schur, sparse_saddle
+from contactqp.linalg.existence import refuse_sparse_drive
+from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.iteration import constraints_are_many
 from contactqp.model.solution import Candidate
 from contactqp.solving import methods, sparse_run
@@ -386,3 +388,32 @@ def test_a_backend_that_ends_processes_is_not_asked_again() -> None:
     assert np.all((seen[0].diagonal >= 0.25) & (seen[0].diagonal <= 4))
     assert run.candidate.displacement == pytest.approx([1.0, 0.0], abs=1e-6)
     assert run.candidate.normal_force == pytest.approx([1e10, 0.0], abs=1e5)
+
+
+def test_as_the_last_route_sparse_systems_end_after_so_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh whose elements differ by 1e12 in size was refused after 640 systems and four backends, in a minute."""
+    problem, settled = membrane(10, 0.03), []
+
+    def none_holds(twin: cq.ContactProblem, answer: object, effort: sparse_saddle.Effort, *_: object) -> object:
+        settled.append(effort.most)
+        effort.factorisations += 30
+        return sparse_saddle.ClosedState.of(twin, np.zeros(twin.contacts, dtype=bool), ExtendedAnswer.of(answer))
+
+    few = cq.ContactProblem(problem.stiffness, problem.load, problem.normal[::10], problem.gap[::10])
+    limits = _routes(few)["sparse"]
+    assert limits == {"condense": False, "max_iter": 30}  # twenty, and one for each contact
+    monkeypatch.setattr(sparse_run, "solved_from", none_holds)
+    with pytest.raises(cq.NotConverged, match=r"\(.*; 30 systems were solved\)"):
+        cq.solve(few, **limits)
+    assert settled[0] == 30  # of the one backend that was asked
+
+
+def test_no_linear_program_in_a_stiffness_that_every_unknown_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It found nothing that could be claimed, and in the whole K of 8000 unknowns it did not end within minutes."""
+    problem = membrane(10, 0.03)
+    monkeypatch.setattr("scipy.optimize.linprog", lambda *_, **__: pytest.fail("a linear program was begun"))
+    refuse_sparse_drive(problem)
+    monkeypatch.undo()
+    bare = sp.diags(np.append(np.ones(99), 0.0))
+    with pytest.raises(cq.NoEquilibrium, match="drives a motion"):
+        refuse_sparse_drive(cq.ContactProblem(bare, np.ones(100), problem.normal[:50], problem.gap[:50]))
