@@ -203,6 +203,8 @@ def _verify(receipt: str, as_json: bool) -> NoReturn:
 
 
 STANDARD_INPUT = "standard input"
+# Limit for the solve whose cost is explained [s].
+EXPLAINED_WITHIN = 60.0
 
 
 @contextmanager
@@ -227,13 +229,21 @@ def _answer_file(candidate: str) -> Iterator[str]:
 @click.argument("case", shell_complete=complete_case)
 @strict_option
 @click.option("--no-solve", is_flag=True, help="Say what the case is made of, and not what its answer takes.")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=EXPLAINED_WITHIN,
+    show_default=True,
+    metavar="SECONDS",
+    help="Of the solve; it is stopped then, and its cost is that of what was done.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
-def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
+def explain_command(case: str, no_solve: bool, time_limit: float, as_json: bool) -> None:
     """Print the unknowns and constraints of CASE, which blocks it got and which not, with the reason, and its cost.
 
     The cost is that of solving CASE once by active-set in a fresh interpreter: the time of each stage, memory, modules
-    imported, factorisations, contacts kept and dropped. It takes about as long as `contactqp run`; --no-solve leaves it
-    out. A case without an answer is explained all the same.
+    imported, factorisations, contacts kept and dropped. It takes about as long as `contactqp run`, and no
+    longer than --time-limit; --no-solve leaves it out. A case without an answer is explained all the same.
 
     CASE may also be a problem of matrices, as a quadratic program (.qps, .mps, .mat, .npz), or -, a case file on
     standard input; of these no cost is taken.
@@ -258,7 +268,7 @@ def explain_command(case: str, no_solve: bool, as_json: bool) -> None:
     if not no_solve:
         from contactqp.study.footprint import measure
 
-        footprint = measure(case)
+        footprint = measure(case, time_limit=time_limit)
     if as_json:
         print_json(asdict(explanation) | {"footprint": None if footprint is None else footprint.data()})
     elif footprint is not None:

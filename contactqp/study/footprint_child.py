@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import ContactQPError
-from contactqp.model.arrays import STAGES, StageClock, timed
+from contactqp.model.arrays import STAGES, StageClock, timed, within_time
 from contactqp.study.footprint import IMPORT, OPTIONAL, ContactCount, Footprint, Memory, Modules, StageTime
 
 if TYPE_CHECKING:
@@ -82,13 +82,14 @@ def peak() -> int | None:
     return int(size if sys.platform == "darwin" else size * 1024)
 
 
-def main(case: str, method: str) -> None:
-    """Solve a case by a method and print the footprint."""
+def main(case: str, method: str, time_limit: str | None = None) -> None:
+    """Solve a case by a method, within so many seconds, and print the footprint."""
     started, at_start, loaded = time.perf_counter(), resident(), set(sys.modules)
     failure: str | None = None
     model: Model | None = None
     history: History | None = None
-    with timed() as clock, ImportMeter(clock).watching() as imports:
+    limit = None if time_limit is None else float(time_limit)
+    with timed() as clock, ImportMeter(clock).watching() as imports, within_time(limit):
         from contactqp.scene.building import build
         from contactqp.scene.scene import load_scene, run_model
 

@@ -109,7 +109,7 @@ def test_explain_says_what_the_answer_takes(capsys):
 
 def test_explain_explains_what_has_no_answer(capsys, monkeypatch):
     footprint = Footprint(WALL, "active-set", failure="the process died of SIGSEGV")
-    monkeypatch.setattr("contactqp.study.footprint.measure", lambda case: replace(footprint, case=case))
+    monkeypatch.setattr("contactqp.study.footprint.measure", lambda case, **_: replace(footprint, case=case))
     code, out, _ = run(capsys, "explain", WALL)
     assert code == 0
     assert "left out" in out

@@ -12,7 +12,7 @@ from contactqp.model.arrays import BUILD, CERTIFY, CONDENSE, METHOD, POLISH, REA
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene, run_model
 from contactqp.study.footprint import IMPORT, OPTIONAL, Footprint, measure
-from contactqp.study.footprint_child import ImportMeter, contact_count
+from contactqp.study.footprint_child import ImportMeter, contact_count, main
 from tests.examples import PUSHED_OFF
 
 ROOT = Path(__file__).parents[2]
@@ -93,7 +93,8 @@ def test_a_case_without_an_answer_is_said_in_one_line(tmp_path):
 
 
 def test_a_process_that_takes_too_long_or_dies_is_said_in_one_line(monkeypatch):
-    assert measure(CASES / "bar_wall.toml", time_limit=0.01).failure == "stopped after 0.01 s"
+    late = measure(CASES / "bar_wall.toml", time_limit=0.01)
+    assert late.failure == "stopped in a step that had not ended when the time limit of 0.01 s was over"
     monkeypatch.setattr("contactqp.study.footprint.CHILD", "tests.study.dying")
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
     assert measure("kill").failure == "the process died of SIGKILL"
@@ -101,6 +102,15 @@ def test_a_process_that_takes_too_long_or_dies_is_said_in_one_line(monkeypatch):
     assert measure("say").failure == "the process that measured said nothing that can be read"
     monkeypatch.setattr(sys, "executable", "/no/such/python")
     assert measure("say").failure == "no process could be started: No such file or directory"
+
+
+def test_a_solve_that_takes_too_long_says_where_it_stopped(capsys):
+    """`contactqp explain` waited for ever for a path whose steps had no answer."""
+    main(str(CASES / "truss_friction.toml"), "active-set", "1e-9")
+    late = Footprint.from_data(json.loads(capsys.readouterr().out))
+    assert late.failure.startswith("stopped at the time limit of 1e-09 s, before the stiffness was condensed")
+    assert late.contacts.kept == 1
+    assert READ in [stage.name for stage in late.stages]
 
 
 def test_imports_have_a_stage_of_their_own():
