@@ -21,6 +21,8 @@ try:
 except ImportError:
     raise BackendMissing("exact answers need python-flint: pip install python-flint") from None
 
+# Motions whose energy is below this, K scaled to a diagonal near one, are looked at exactly, if there are so few.
+SOFT, MOST_SOFT = 1e-8, 40
 PRIMES = (2**61 - 1, 2**62 - 57, 2**63 - 25, 2**64 - 59)
 
 
@@ -212,7 +214,7 @@ def is_semidefinite(K: fmpq_mat) -> bool:
 
     K has the rank of its rows and columns J, and is then semidefinite where K_JJ is definite. That a floating-point
     Cholesky factorisation of K_JJ - s I exists proves it (Rump 2006, BIT 46, 433), s being what rounding may have
-    added; where it does not, the leading minors decide.
+    added; where it does not, the motions of next to no energy decide, or at last the leading minors.
     """
     n = K.nrows()
     kept = next(
@@ -226,23 +228,65 @@ def is_semidefinite(K: fmpq_mat) -> bool:
     core = take_columns(take(K, kept), kept)
     if any(core[i, i] <= 0 for i in range(len(kept))):
         return False
-    return not kept or _cholesky_proves(core) or _minors_prove(core)
+    scaled = _scaled(core)
+    if not kept or (scaled is not None and _cholesky_proves(scaled[0])):
+        return True
+    decided = None if scaled is None else _soft_motions_decide(core, *scaled)
+    return _minors_prove(core) if decided is None else decided
 
 
-def _cholesky_proves(K: fmpq_mat) -> bool:
+def _scaled(K: fmpq_mat) -> tuple[Array, Array] | None:
+    """Return D K D in doubles and D (n,), powers of two that bring its diagonal near one; None beyond doubles."""
     try:
         doubles = np.array([number(x) for x in K.entries()]).reshape(K.nrows(), K.ncols())
-        if not np.all(np.diag(doubles) > 0):  # too small for doubles
-            return False
-        # Powers of two scale without rounding.
-        scale = np.exp2(-np.round(np.log2(np.diag(doubles)) / 2))
-        doubles = doubles * np.outer(scale, scale)
-        size = len(doubles)
-        shift = 2 * (size + 4) * EPS * (np.trace(doubles) + float(np.max(np.sum(abs(doubles), axis=1))))
-        np.linalg.cholesky(doubles - shift * np.eye(size))
-    except (np.linalg.LinAlgError, OverflowError):
+    except OverflowError:
+        return None
+    if not np.all(np.diag(doubles) > 0):  # too small for doubles
+        return None
+    # Powers of two scale without rounding.
+    scale = np.exp2(-np.round(np.log2(np.diag(doubles)) / 2))
+    doubles = doubles * np.outer(scale, scale)
+    return (doubles, scale) if np.all(np.isfinite(doubles)) else None
+
+
+def _cholesky_proves(doubles: Array, least: float = 0.0) -> bool:
+    """Return whether a Cholesky factorisation proves the least eigenvalue of a matrix to be above `least`."""
+    size = len(doubles)
+    shift = 2 * (size + 4) * EPS * (np.trace(doubles) + float(np.max(np.sum(abs(doubles), axis=1))))
+    try:
+        np.linalg.cholesky(doubles - (shift + least) * np.eye(size))
+    except np.linalg.LinAlgError:
         return False
-    return bool(np.all(np.isfinite(doubles)))
+    return True
+
+
+def _soft_motions_decide(K: fmpq_mat, doubles: Array, scale: Array) -> bool | None:
+    """Return whether a regular K is definite, by its motions Z of next to no energy; None where they do not decide.
+
+    Z'KZ says that it is not where it is not so itself. Else Z and the unknowns i but those that hold Z are a basis, in
+    which K is definite where K_ii > t I, by a factorisation, and Z'KZ - (K_i Z)'(K_i Z)/t is, exactly.
+    """
+    from scipy.linalg import qr
+
+    values, vectors = np.linalg.eigh(doubles)
+    soft = values <= SOFT
+    count = int(np.count_nonzero(soft))
+    if not 0 < count <= min(MOST_SOFT, len(values) - 1):
+        return None
+    Z = matrix(vectors[:, soft])
+    D = fmpq_mat(len(scale), len(scale), [rational(x) for x in np.diag(scale).ravel().tolist()])
+    images = D * (K * (D * Z))
+    energy = Z.transpose() * images
+    if not is_semidefinite(energy):
+        return False
+    order = qr(vectors[:, soft].T, mode="r", pivoting=True)[1]
+    held, rest = order[:count].tolist(), np.sort(order[count:]).tolist()
+    part = doubles[np.ix_(rest, rest)]
+    least = float(np.exp2(np.floor(np.log2(max(np.linalg.eigvalsh(part)[0], EPS)) - 1)))
+    if take(Z, held).det() == 0 or not _cholesky_proves(part, least):
+        return None
+    across = take(images, rest)
+    return True if _minors_prove(energy - across.transpose() * across / rational(least)) else None
 
 
 def _minors_prove(K: fmpq_mat) -> bool:

@@ -11,6 +11,7 @@ from flint import fmpq
 
 import contactqp as cq
 from benchmarks.problem_families import FAMILIES, family
+from contactqp.linalg import rational
 from contactqp.linalg.rational import (
     NoSolution,
     column,
@@ -189,6 +190,22 @@ def test_definiteness_is_exact() -> None:
     assert is_semidefinite(tiny)
     tiny[0, 1] = tiny[1, 0] = fmpq(1, 10**199)
     assert not is_semidefinite(tiny)
+
+
+@pytest.mark.parametrize("wall", [0.0, 1e-15, 1e-9, -1e-15])
+def test_definiteness_of_bodies_that_hardly_anything_holds_is_decided_by_their_softest_motion(
+    monkeypatch, wall
+) -> None:
+    """A chain of thirty springs, of halves so that sums are exact, on a wall of next to nothing, or of less."""
+    k = np.array([wall, *np.random.default_rng(5).integers(1, 9, 29) / 2])
+    K = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    exact = matrix(K)
+    exact[0, 0] = fmpq(int(2 * k[1]), 2) + fmpq(*float(wall).as_integer_ratio())
+    minors, sizes = rational._minors_prove, []
+    monkeypatch.setattr(rational, "_minors_prove", lambda a: [sizes.append(a.nrows()), minors(a)][1])
+    assert is_semidefinite(exact) == (wall >= 0)
+    assert max(sizes, default=0) <= 1
+    assert minors(exact) == (wall > 0)
 
 
 def test_a_stiffness_that_rounding_made_indefinite_is_refused() -> None:
