@@ -6,7 +6,7 @@ Rates follow from the states of the contacts (`contactqp.analysis.rates`), gradi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -14,11 +14,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.gradients import gradient, idle_ties, value_of
+from contactqp.analysis.gradients import energy_of_rates, gradient, idle_ties, rate_of_energy, value_of
 from contactqp.analysis.rate_data import VECTORS, Direction, Rates, errors_of
 from contactqp.analysis.rate_systems import SAME
 from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
 from contactqp.certificate.certificate import certificate_of
+from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
@@ -39,6 +40,7 @@ SYMMETRIC = 1e-12
 IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
 UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
 SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
+NEVER_CLOSES = "along rows, rates of gaps that never close have none"
 UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
@@ -46,6 +48,8 @@ LINEAR = ("load", "gap", "tie_value", "slip_origin")
 
 # Whether answers with friction have bounds.
 _PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
+# Answers on the rows that constrain something, of those with others.
+_ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +108,12 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     array([-2.])
     """
     _refuse_unknown(solution, of, with_respect_to)
+    if (rows := _acting(solution)) is not None:
+        given = read_direction(solution, solution.normal_force, with_respect_to, direction)
+        if why := rows.without_answer(with_respect_to, getattr(given, with_respect_to)):
+            return Derivative(None, None, None, False, reason=why)
+        if rows.feels(with_respect_to, getattr(given, with_respect_to)):
+            return _on_acting(rows, solution, of, with_respect_to, given)
     linearised = Linearised(solution)
     return _along(
         linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
@@ -129,6 +139,8 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
         A derivative does not exist: the message says why. Stiffness and rows have `pullback` and `derivative` alone.
     """
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
+    if of not in ("gap", "slip") and (acting := _acting(solution, with_respect_to)) and acting.feels(with_respect_to):
+        return _jacobian_on_acting(acting, solution, (of, with_respect_to), return_bound)
     size, linearised = np.size(getattr(solution.problem, with_respect_to)), Linearised(solution)
     rows = np.size(value_of(solution, of))
     adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
@@ -192,6 +204,12 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     given = read_array("weights", weights)
     if given.shape != expected or not np.all(np.isfinite(given)):
         raise InvalidProblem(f"weights: expected finite numbers in the shape {expected} of {of}, got {shown(weights)}")
+    if (rows := _acting(solution, with_respect_to)) is not None and rows.feels(with_respect_to):
+        unseen = of in ("gap", "slip") and np.any(given != rows.spread(of, rows.part(of, given)))
+        if not unseen:
+            pair = pullback(_ON_ACTING[solution], of, rows.part(of, given), with_respect_to, True)
+            whole = [None if one is None else read_only(rows.spread(with_respect_to, one)) for one in pair]
+            return tuple(whole) if return_bound else whole[0]
     linearised = Linearised(solution)
     reason = _why_not(linearised, of, with_respect_to)
     if with_respect_to == "friction":
@@ -202,6 +220,78 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     found = gradient(linearised, of, given, with_respect_to, bounded)
     bound = None if found.error is None else read_only(found.error)
     return (read_only(found.value), bound) if return_bound else read_only(found.value)
+
+
+def _acting(solution: Solution, parameter: str = "") -> ActingRows | None:
+    """Return the rows of an answer's problem that constrain something, None where all do; the others have no part.
+
+    Raises InvalidProblem: some entries of the parameter are those of rows that nothing can meet if they change.
+    """
+    problem = solution.problem
+    if parameter == "tie_value" and (idle := idle_ties(problem)).any():
+        name = problem.tie_name(int(np.argmax(idle)))
+        raise InvalidProblem(f"pullback: {name} acts on nothing that moves, and no displacement has its value")
+    rows = acting_rows(problem) if problem.has_idle_rows else None
+    if rows is not None and parameter and (why := rows.without_answer(parameter)):
+        raise InvalidProblem(f"pullback: {why}")
+    if rows is not None and solution not in _ON_ACTING:
+        _ON_ACTING[solution] = rows.acting(solution)
+    return rows
+
+
+def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, given: Direction) -> Derivative:
+    """Return the derivative of an answer with rows that constrain nothing from that on the others.
+
+    Parameters
+    ----------
+    rows, solution : the rows that act, and the answer
+    of, parameter, given : as in `derivative`, and the direction
+    """
+    reduced = _ON_ACTING[solution]
+    linearised = Linearised(reduced)
+    along = read_direction(reduced, linearised.push, parameter, rows.part(parameter, getattr(given, parameter)))
+    found = _along(linearised, of, along, parameter)
+    if found.left is None or of not in (*FORCES, "gap", "slip"):
+        return found
+    names = ("value", "left", "right", "bound")
+    parts: dict[str, Any] = {
+        name: None if (one := getattr(found, name)) is None else rows.spread(of, one) for name in names
+    }
+    if of in FORCES:
+        return replace(found, **parts)
+    moved = _along(linearised, "displacement", along, parameter)
+    if moved.left is None:
+        return replace(found, value=None, left=None, right=None, exists=False, bound=None, reason=moved.reason)
+    matrix, own = (
+        (solution.problem.tangent, -given.slip_origin) if of == "slip" else (-solution.problem.normal, given.whole_gap)
+    )
+    assert matrix is not None
+    idle = np.ones(len(own), dtype=bool)
+    idle[rows.contacts] = False
+    for name, u in (("left", moved.left), ("right", moved.right)):
+        parts[name][idle] = (own + (matrix @ u).reshape(own.shape))[idle]
+    same = found.exists and (moved.exists or np.array_equal(parts["left"][idle], parts["right"][idle]))
+    if parts["bound"] is None or moved.bound is None or given.rows is not None:
+        parts |= dict(bound=None, bound_reason=found.bound_reason or NEVER_CLOSES)
+    else:
+        size = abs(own) + (abs(matrix) @ np.maximum(abs(moved.left), abs(moved.right))).reshape(own.shape)
+        off = (abs(matrix) @ moved.bound).reshape(own.shape) + EPS * (solution.problem.dimension + 3) * size
+        parts["bound"][idle] = off[idle]
+    return replace(found, **(parts | dict(value=parts["right"] if same else None, exists=same)))
+
+
+def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, str], return_bound: bool) -> Any:
+    """Return the Jacobian of an answer with rows that constrain nothing from that on the others."""
+    wholes = value_of(solution, names[0]), getattr(solution.problem, names[1])
+    counted = (np.arange(np.size(one)).reshape(np.shape(one)) for one in wholes)
+    places = [rows.part(name, one).ravel() for name, one in zip(names, counted, strict=True)]
+    whole = []
+    for one in jacobian(_ON_ACTING[solution], *names, return_bound=True):
+        matrix = np.zeros([np.size(one) for one in wholes])
+        if one is not None:
+            matrix[np.ix_(*places)] = one
+        whole.append(None if one is None else matrix)
+    return tuple(whole) if return_bound else whole[0]
 
 
 def _may_be_bounded(linearised: Linearised) -> bool:
@@ -217,7 +307,7 @@ def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> 
         reasons = linearised.solution.certificate.reasons
         return "the answer is not proven" + (f": {reasons[0]}" if reasons else "")
     if linearised.is_sparse:
-        return "bounds follow from condensed contacts, and these are too many, never close or have rows of zeros"
+        return "bounds follow from condensed contacts, and these are too many, or rows of zeros change"
     if linearised.turns:
         return IN_SPACE if linearised.system is None else UNTOLD
     if linearised.redundant or shared:
@@ -247,8 +337,6 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if linearised.redundant and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
-    if parameter == "tie_value" and along is None and (idle := idle_ties(problem)).any():
-        return f"{problem.tie_name(int(np.argmax(idle)))} acts on nothing that moves, and no displacement has its value"
     motions = _free(linearised.solution)
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
@@ -264,7 +352,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         return Derivative(None, None, None, False, reason=reason)
     frictional = linearised.problem.frictional
     if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
-        rate, error = _rate_of_energy(linearised, direction)
+        rate, error = rate_of_energy(linearised, direction)
         bound = error if _may_be_bounded(linearised) else None
         return Derivative(rate, rate, rate, True, bound, bound_reason=_why_unbounded(linearised, bound))
     try:
@@ -295,41 +383,7 @@ def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Directio
     """Return the rate of a quantity, and what it may be off by or None where that is not known."""
     if of != "energy":
         return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)
-    return _energy_of_rates(linearised, rates, direction)
-
-
-def _energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) -> tuple[float, float | None]:
-    """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and what it may be off by."""
-    problem, solution, known = linearised.problem, linearised.solution, linearised.extended_answer
-    du = rates.displacement
-    if known is None or known.bound is None or rates.bound is None:
-        half = float(-0.5 * solution.displacement @ direction.strained)
-        return float(-value_of(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
-    answer, off = known.found, known.bound
-    taken, error = np.zeros_like(du), np.zeros_like(du)  # what contacts and ties take of each unknown's load
-    for rows, force, apart in (
-        (problem.normal, answer.normal, off.normal), (problem.tie, answer.tie, off.tie),
-        (problem.tangent, answer.tangent, off.tangent),
-    ):  # fmt: skip
-        if rows is not None:
-            taken, size = taken + rows.T @ force.ravel(), abs(rows).T @ abs(force).ravel()
-            error += abs(rows).T @ apart.ravel() + EPS * (rows.shape[0] + 3) * size
-    u, off_u = answer.displacement, off.displacement
-    lacks = np.zeros_like(u) if rates.off is None else rates.off.displacement
-    return _summed(
-        (-taken, error, du, rates.bound.displacement), (-u, off_u, direction.load, np.zeros_like(u)),
-        (-0.5 * u, 0.5 * off_u, direction.strained, lacks),
-    )  # fmt: skip
-
-
-def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:
-    """Return a sum of products of vectors that are off by some errors, (a, error, b, error), and what it is off by."""
-    total, size, error = 0.0, 0.0, 0.0
-    for a, off_a, b, off_b in products:
-        total += float(a @ b)
-        size += (len(a) + 3) * float(abs(a) @ abs(b))
-        error += float(abs(a) @ off_b + off_a @ abs(b) + off_a @ off_b)
-    return total, error + EPS * (size + 2 * len(products) * error)
+    return energy_of_rates(linearised, rates, direction)
 
 
 def _is_proven(solution: Solution) -> bool:
@@ -347,32 +401,6 @@ def _is_proven(solution: Solution) -> bool:
 
 def _first(linearised: Linearised, rates: Rates, sign: float) -> float:
     return float(min(linearised.events(rates, sign), default=np.inf))
-
-
-def _rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float, float | None]:
-    """Return the rate without friction, -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u, and what it is off by.
-
-    That is the envelope theorem.
-    """
-    solution, known = linearised.solution, linearised.extended_answer
-    if known is None or known.bound is None:
-        rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
-        return float(rate - solution.tie_force @ direction.tie_value + direction.work), None
-    answer, off = known.found, known.bound
-    u, push = answer.displacement, answer.normal
-    found = [
-        (-u, off.displacement, direction.load, np.zeros_like(u)),
-        (-push, off.normal, direction.gap, np.zeros_like(push)),
-        (-answer.tie, off.tie, direction.tie_value, np.zeros_like(answer.tie)),
-    ]
-    for rows, left, error in (
-        (direction.stiffness, 0.5 * u, 0.5 * off.displacement), (direction.rows, push, off.normal),
-    ):  # fmt: skip
-        if rows is not None:
-            terms = int(np.max(np.diff(rows.indptr), initial=0)) + 3
-            moved = abs(rows) @ off.displacement + EPS * terms * (abs(rows) @ abs(u))
-            found.append((left, error, np.asarray(rows @ u), moved))
-    return _summed(*found)
 
 
 def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:

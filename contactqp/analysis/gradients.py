@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, times
+from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, Rates, times
 from contactqp.analysis.rates import SINGULAR, Linearised, NoRates
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.dense import unknown_scale
@@ -269,6 +269,66 @@ def _by_law(
         return y.tangent + slip_weights + Estimate(-turned, None)
     lacks = law.turns.hi * np.linalg.norm(dragged.error, axis=1) + law.error_of_turned(dragged.value)
     return y.tangent + slip_weights + Estimate(-turned, lacks[:, None] + EPS * abs(turned))
+
+
+def energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) -> tuple[float, float | None]:
+    """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and what it may be off by."""
+    problem, solution, known = linearised.problem, linearised.solution, linearised.extended_answer
+    du = rates.displacement
+    if known is None or known.bound is None or rates.bound is None:
+        half = float(-0.5 * solution.displacement @ direction.strained)
+        return float(-value_of(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
+    answer, off = known.found, known.bound
+    taken, error = np.zeros_like(du), np.zeros_like(du)  # what contacts and ties take of each unknown's load
+    for rows, force, apart in (
+        (problem.normal, answer.normal, off.normal), (problem.tie, answer.tie, off.tie),
+        (problem.tangent, answer.tangent, off.tangent),
+    ):  # fmt: skip
+        if rows is not None:
+            taken, size = taken + rows.T @ force.ravel(), abs(rows).T @ abs(force).ravel()
+            error += abs(rows).T @ apart.ravel() + EPS * (rows.shape[0] + 3) * size
+    u, off_u = answer.displacement, off.displacement
+    lacks = np.zeros_like(u) if rates.off is None else rates.off.displacement
+    return _summed(
+        (-taken, error, du, rates.bound.displacement), (-u, off_u, direction.load, np.zeros_like(u)),
+        (-0.5 * u, 0.5 * off_u, direction.strained, lacks),
+    )  # fmt: skip
+
+
+def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:
+    """Return a sum of products of vectors that are off by some errors, (a, error, b, error), and what it is off by."""
+    total, size, error = 0.0, 0.0, 0.0
+    for a, off_a, b, off_b in products:
+        total += float(a @ b)
+        size += (len(a) + 3) * float(abs(a) @ abs(b))
+        error += float(abs(a) @ off_b + off_a @ abs(b) + off_a @ off_b)
+    return total, error + EPS * (size + 2 * len(products) * error)
+
+
+def rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float, float | None]:
+    """Return the rate without friction, -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u, and what it is off by.
+
+    That is the envelope theorem.
+    """
+    solution, known = linearised.solution, linearised.extended_answer
+    if known is None or known.bound is None:
+        rate = -(solution.displacement @ direction.load) - solution.normal_force @ direction.gap
+        return float(rate - solution.tie_force @ direction.tie_value + direction.work), None
+    answer, off = known.found, known.bound
+    u, push = answer.displacement, answer.normal
+    found = [
+        (-u, off.displacement, direction.load, np.zeros_like(u)),
+        (-push, off.normal, direction.gap, np.zeros_like(push)),
+        (-answer.tie, off.tie, direction.tie_value, np.zeros_like(answer.tie)),
+    ]
+    for rows, left, error in (
+        (direction.stiffness, 0.5 * u, 0.5 * off.displacement), (direction.rows, push, off.normal),
+    ):  # fmt: skip
+        if rows is not None:
+            terms = int(np.max(np.diff(rows.indptr), initial=0)) + 3
+            moved = abs(rows) @ off.displacement + EPS * terms * (abs(rows) @ abs(u))
+            found.append((left, error, np.asarray(rows @ u), moved))
+    return _summed(*found)
 
 
 def on_pattern(problem: ContactProblem, y: Estimate, u: Estimate) -> Estimate:

@@ -46,7 +46,7 @@ from contactqp.analysis.friction_events import StateMargins, falls, steps_to_eve
 from contactqp.analysis.rate_data import Direction, Parts, Rates, Solved, closed_on, shape_of_tangents, with_reaction
 from contactqp.analysis.rate_systems import LARGE, SAME, RateSystem
 from contactqp.certificate import bounds
-from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported
+from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
@@ -308,8 +308,7 @@ class Linearised:
         if self.is_sparse or (self._in_space and self.system is None):
             return None
         if self.redundant:
-            zero = Direction.zero(self.problem)
-            carried = self._carrying(zero.gap, zero.tie_value)
+            carried = self._carrying(np.zeros_like(self.push), np.zeros(self.problem.ties))
             return None if carried is None else carried[1]
         system = self._system(self.status)
         return system.answer() if system.regular else None
@@ -341,6 +340,8 @@ class Linearised:
         except NoEquilibrium as none:
             # Where gaps change nearly alike, which of those that share their forces stays closed was not told.
             raise NoRates(REDUNDANT if self._is_shifted(direction) else str(none)) from None
+        except (NotCertified, NotConverged) as none:
+            raise NoRates(str(none)) from None
         force = np.zeros(problem.contacts)
         force[closed], force[grazing] = found.tie_force[k:], found.normal_force
         tangents = np.zeros(shape_of_tangents(problem))
@@ -371,9 +372,9 @@ class Linearised:
         return None if found is None else replace(found, status=self.status)
 
     def _carrying(self, gap: Vector, tie_value: Vector) -> tuple[Indices, Solved] | None:
-        """Return contacts whose rows are independent and that carry all, and the answer beyond doubles on them.
+        """Return independent contacts that carry all as gaps (m,) and tie values (k,) change, and the answer on them.
 
-        Of those that may as gaps (m,) and tie values (k,) change; None where that is not seen to be the answer.
+        That is beyond doubles; None where it is not seen to be the answer.
         """
         if self.is_sparse or not self.sharings_are_few:
             return None
@@ -382,10 +383,10 @@ class Linearised:
             return None
         system = self._system(closed_on(self.problem, carrying))
         known = system.answer() if system.regular else None
-        return (carrying, known) if known is not None and system.carries(known, self._touching) else None
+        return (carrying, known) if known and system.carries(known, self._touching) else None
 
     def _carried(self, rates: Rates, direction: Direction) -> Rates:
-        """Return rates at redundant contacts with bounds of their errors, where independent ones carry the changes.
+        """Return rates at redundant contacts, with bounds of their errors where independent ones carry the changes.
 
         Forces of contacts that carry the answer, and of more that push at their rates, are a sharing: where its signs
         hold the rates of the displacement are those of the system of these contacts. Along rows, which make other

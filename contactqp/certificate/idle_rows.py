@@ -46,6 +46,10 @@ _OF_CONTACTS = (
 )
 
 
+# Quantities and parameters that have a part for each contact.
+_BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "slip_origin", "rows")
+
+
 @dataclass(frozen=True, eq=False)
 class ActingRows:
     """The contacts and ties whose rows are not zero, and the problem with these alone."""
@@ -101,6 +105,65 @@ class ActingRows:
             changes["slip_origin"] = np.array(self.whole.slip_origin)
             changes["slip_origin"][self.contacts] = step.slip_origin
         return replace(self, whole=self.whole.replace(**changes), problem=step)
+
+    def acting(self, solution: Any) -> Any:
+        """Return a solution of the whole problem as one on the acting rows, with its verdict."""
+        violations = solution.certificate.violations
+        if violations is not None:
+            violations = replace(violations, slip_measure=violations.slip_measure[self.contacts])
+        certificate = replace(solution.certificate, violations=violations)
+        status = solution.contact_status[self.contacts]
+        return replace(self.start(solution), contact_status=status, certificate=certificate)
+
+    def part(self, name: str, values: Any) -> Any:
+        """Return what belongs to the acting rows of a quantity or a parameter that has a part for each row, or all."""
+        if name in ("tie_force", "tie_value"):
+            return values[self.ties]
+        return values[self.contacts] if name in _BY_CONTACT else values
+
+    def spread(self, name: str, values: Any) -> Any:
+        """Return a quantity or a parameter of the acting rows as one of all rows, zero on the others."""
+        if name in ("tie_force", "tie_value"):
+            return self.tie(values)
+        if name in ("friction_force", "slip", "slip_origin"):
+            return self.friction(values)
+        if name == "rows":
+            whole = self.whole.normal
+            entries = np.zeros(whole.nnz)
+            entries[np.isin(np.repeat(np.arange(self.whole.contacts), np.diff(whole.indptr)), self.contacts)] = (
+                values.data
+            )
+            return sp.csr_array((entries, whole.indices, whole.indptr), shape=whole.shape)
+        return self.normal(values) if name in _BY_CONTACT else values
+
+    def feels(self, name: str, values: Any = None) -> bool:
+        """Return whether the acting rows alone feel a parameter along a direction, or by all entries that it has.
+
+        What never closes has no part in it; what a row of zeros says of its gap or value, and its own change, has.
+        """
+        if name == "tie_value":
+            others = _others(self.whole.ties, self.ties)
+            return not others.size if values is None else not np.any(values[others])
+        if name != "gap" and (name != "rows" or values is None):
+            return True
+        others = _others(self.whole.contacts, self.contacts)
+        others = others[np.isfinite(self.whole.gap[others])]
+        return name == "rows" or values is None or not np.any(values[others])
+
+    def without_answer(self, name: str, values: Any = None) -> str:
+        """Return why there is no answer towards a side: a row of zeros has no gap, which would change, or its row.
+
+        Parameters
+        ----------
+        name, values : a parameter, and a direction of it, all of its entries where that is None
+        """
+        others = _others(self.whole.contacts, self.contacts)
+        others = others[self.whole.gap[others] <= 0]
+        if name not in ("gap", "rows") or (name == "rows" and values is None):
+            return ""
+        touched = [i for i in others.tolist() if values is None or abs(values[[i]]).sum() > 0]
+        text = "acts on nothing that moves and has no gap: towards a side there is no answer near this one"
+        return f"{self.whole.contact_name(touched[0])} {text}" if touched else ""
 
     def solution(self, found: Any) -> Any:
         """Return a solution on the acting rows as one of the whole problem."""

@@ -1,0 +1,115 @@
+"""Contacts that never close and rows of zeros have no part in derivatives: these are those of the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import contactqp as cq
+
+ACTING = [0, 2]  # of the contacts
+BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "slip_origin", "rows")
+
+
+def pair(rough: bool) -> tuple[cq.ContactProblem, cq.ContactProblem]:
+    """A problem, and the same one with a contact that never closes, one of a row of zeros, and a tie of zeros."""
+    rng = np.random.default_rng(3)
+    shape, rows, tangents, tie = (rng.standard_normal(size) for size in ((4, 4), (4, 4), (4, 4), (1, 4)))
+    rows[3], none = 0.0, np.zeros((1, 4))
+    data = dict(stiffness=shape @ shape.T + np.eye(4), load=3 * rng.standard_normal(4))
+    gap = np.array([0.1, np.inf, 0.2, 1.0])
+    some, every = ({}, {}) if not rough else (dict(tangent=tangents[ACTING], friction=0.1), {})
+    every = dict(tangent=tangents, friction=0.1) if rough else every
+    few = cq.ContactProblem(**data, normal=rows[ACTING], gap=gap[ACTING], tie=tie, tie_value=[0.1], **some)
+    whole = cq.ContactProblem(
+        **data, normal=rows, gap=gap, tie=np.vstack([none, tie]), tie_value=[0.0, 0.1], **every
+    )  # fmt: skip
+    return few, whole
+
+
+def part(name: str, values: Any) -> Any:
+    return values[ACTING] if name in BY_CONTACT else values[1:] if name in ("tie_force", "tie_value") else values
+
+
+def directions(problem: cq.ContactProblem) -> dict[str, Any]:
+    rng, n, m = np.random.default_rng(5), problem.dimension, problem.contacts
+    turn, gap = rng.standard_normal((n, n)), rng.standard_normal(m)
+    gap[3] = 0.0
+    found = dict(
+        load=rng.standard_normal(n), gap=gap, tie_value=np.array([0.0, 1.0]), stiffness=turn + turn.T,
+        rows=rng.standard_normal((m, n)),
+    )  # fmt: skip
+    if problem.frictional:
+        found |= dict(friction=rng.random(m), slip_origin=rng.standard_normal((m, 1)))
+    return found
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_derivatives_and_gradients_are_those_of_what_acts(rough: bool) -> None:
+    few, whole = map(cq.solve, pair(rough))
+    quantities = ("displacement", "normal_force", "tie_force", "gap", "reaction", "energy")
+    for of in (*quantities, "friction_force", "slip") if rough else quantities:
+        for parameter, direction in directions(whole.problem).items():
+            true = few.derivative(of, parameter, part(parameter, direction))
+            found = whole.derivative(of, parameter, direction)
+            assert part(of, found.value) == pytest.approx(true.value, rel=1e-12, abs=1e-13)
+            assert found.reach == (true.reach and pytest.approx(true.reach))
+            if of not in ("gap", "slip"):
+                assert part(of, found.bound) == pytest.approx(true.bound)
+            if parameter == "tie_value":
+                with pytest.raises(cq.InvalidProblem, match="tie 0 acts on nothing"):
+                    whole.pullback(of, np.zeros(np.shape(found.value)), parameter)
+                continue
+            weights = np.resize([1.0, -2.0, 0.5], np.shape(found.value))
+            if of in ("gap", "slip"):
+                weights[[1, 3]] = 0.0
+            gradient, bound = whole.pullback(of, weights, parameter, return_bound=True)
+            gradient, bound = (one.toarray() if sp.issparse(one) else one for one in (gradient, bound))
+            along = direction * (whole.problem.normal.toarray() != 0) if parameter == "rows" else direction
+            assert np.sum(gradient * along) == pytest.approx(np.sum(weights * found.value), rel=1e-10)
+            assert np.all(bound <= 1e-13 * np.max(abs(gradient), initial=1.0))
+            if of not in ("gap", "slip") and parameter not in ("stiffness", "rows"):
+                matrix, apart = whole.jacobian(of, parameter, return_bound=True)
+                assert matrix @ np.ravel(direction) == pytest.approx(np.ravel(found.value), rel=1e-10, abs=1e-12)
+                assert apart.shape == matrix.shape
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_gaps_that_never_close_and_slips_there_have_the_rates_of_the_displacement(rough: bool) -> None:
+    whole = cq.solve(pair(rough)[1])
+    moved = whole.derivative("displacement", "load", np.ones(4))
+    gap = whole.derivative("gap", "load", np.ones(4))
+    assert gap.value == pytest.approx(-(whole.problem.normal @ moved.value), abs=1e-14)
+    assert np.all(gap.bound <= 1e-13)
+    if rough:
+        slip = whole.derivative("slip", "load", np.ones(4))
+        assert slip.value.ravel() == pytest.approx(whole.problem.tangent @ moved.value, abs=1e-14)
+
+
+def test_what_hardly_touches_is_told_from_what_grazes_beside_a_row_of_zeros() -> None:
+    """A gap of 1e-16 is there, whatever else says nothing: the derivative exists, and its reach is as small."""
+    K, rows = np.array([[3.0, -1.0], [-1.0, 2.0]]), [[1.0, 0.0], [0.0, 0.0]]
+    free = cq.solve(cq.ContactProblem(K, [1.0, 1.0], rows, [np.inf, 1.0]))
+    gap = np.nextafter(free.displacement[0], 1.0)
+    found = cq.solve(free.problem.replace(gap=[gap, 1.0])).derivative("displacement", "load", [1.0, 0.0])
+    assert found.value == pytest.approx([0.4, 0.2])
+    assert 0.0 < found.reach[1] < 1e-15
+    assert found.bound is not None
+
+
+def test_a_row_of_zeros_that_its_gap_or_its_change_would_close_is_looked_at() -> None:
+    body = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [0.0]], [1.0, 1.0]))
+    assert body.derivative("displacement", "gap", [0.0, -1.0]).reach == pytest.approx((np.inf, 1.0))
+    touching = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [0.0]], [3.0, 0.0]))
+    answer = cq.exact(touching.problem)
+    for parameter, direction in (("rows", [[0.0], [1.0]]), ("gap", [0.0, -1.0])):  # e u <= 0 holds a body that moved
+        found, true = (one.derivative("displacement", parameter, direction) for one in (touching, answer))
+        assert (found.right, found.value, true.value) == (None, None, None)
+        assert "contact 1 acts on nothing that moves and has no gap" in found.reason
+    assert touching.derivative("displacement", "gap", [1.0, 0.0]).value == pytest.approx([0.0])
+    with pytest.raises(cq.InvalidProblem, match="contact 1 acts on nothing"):
+        touching.pullback("displacement", [1.0], "gap")
+    assert touching.pullback("displacement", [1.0], "rows").toarray().tolist() == [[0.0], [0.0]]
