@@ -9,6 +9,9 @@ import os
 import signal
 import sys
 from collections import Counter
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import pytest
@@ -20,6 +23,20 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = ["pytester"]
+
+
+class Doctests:
+    """Files without a prompt have no doctests: pytest need not import them and look at all that is in them.
+
+    A plugin of its own, as hooks in a conftest.py are called for files beside it alone, not for those of the package.
+    """
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collect_file(self, file_path: Path) -> Generator[None, list[Any], list[Any]]:
+        found = yield
+        if not found or ">>> " in file_path.read_text("utf-8"):
+            return found
+        return [one for one in found if type(one).__name__ != "DoctestModule"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -35,6 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
     is told to leave nothing beside the sources. The package has a plugin of pytest, which would rewrite the asserts of
     all its files, as it does with those of tests.
     """
+    config.pluginmanager.register(Doctests())
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     getattr(config.pluginmanager.rewrite_hook, "_must_rewrite", set()).discard("contactqp")
