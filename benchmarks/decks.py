@@ -140,12 +140,22 @@ def write_decks(folder: Path) -> None:
     (folder / "space.inp").write_text(STACK)
     (folder / "assembled.inp").write_text(ASSEMBLED)
     for name in ("plane", "space", "assembled"):
-        deck = cq.read_deck(folder / f"{name}.inp")
+        (folder / f"{name}.dat").write_text(_results(folder / f"{name}.inp"))
+
+
+_PRINTED: dict[str, str] = {}
+
+
+def _results(file: Path) -> str:
+    """Return the results of one of the decks above as CalculiX prints them, solved for once."""
+    if file.name not in _PRINTED:
+        deck = cq.read_deck(file)
         labels, moved = deck.displacements(cq.solve(deck.problem()).displacement)
         three = np.pad(moved, ((0, 0), (0, 3 - moved.shape[1])))
         rows = [f"{label:10d}" + "".join(f" {x:13.6E}" for x in row) for label, row in zip(labels, three, strict=True)]
         title = f" displacements (vx,vy,vz) for set EVERY and time {deck.model.end:14.7E}"
-        (folder / f"{name}.dat").write_text("\n".join(["", title, "", *rows, ""]))
+        _PRINTED[file.name] = "\n".join(["", title, "", *rows, ""])
+    return _PRINTED[file.name]
 
 
 def solve_deck(folder: Path, name: str) -> object:

@@ -5,6 +5,7 @@ is imported; whoever sets the variable is obeyed. A shell that starts tests in t
 which some of them press.
 """
 
+import gc
 import os
 import signal
 import sys
@@ -23,6 +24,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = ["pytester"]
+
+
+class Collecting:
+    """Collecting looks for no garbage, of which there is none: what tests are made of stays until the end."""
+
+    def pytest_sessionstart(self) -> None:
+        gc.disable()
+
+    def pytest_collection_finish(self) -> None:
+        gc.enable()
+        gc.freeze()
 
 
 class Doctests:
@@ -53,6 +65,7 @@ def pytest_configure(config: pytest.Config) -> None:
     all its files, as it does with those of tests.
     """
     config.pluginmanager.register(Doctests())
+    config.pluginmanager.register(Collecting())
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     getattr(config.pluginmanager.rewrite_hook, "_must_rewrite", set()).discard("contactqp")

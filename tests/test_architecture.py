@@ -10,12 +10,15 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from types import FrameType
 
 import pytest
 
 import contactqp as cq
+from tests.docs.test_docstrings import MANY, arguments, outline, public_functions, unnamed_arguments
 
 ROOT = pathlib.Path(__file__).parent.parent
 PACKAGE = ROOT / "contactqp"
@@ -153,18 +156,43 @@ def statements(node: ast.AST) -> Iterator[ast.stmt]:
             yield from statements(one)
 
 
-def test_files_and_functions_stay_short() -> None:
-    sources = {file.relative_to(PACKAGE): file.read_text("utf-8") for file in PACKAGE.rglob("*.py")}
-    functions, imports = [], 0
-    for file, text in sources.items():  # one tree at a time: all of them are a hundred thousand statements
-        for node in statements(ast.parse(text)):
+@dataclass(frozen=True)
+class Package:
+    """All files of the package, parsed once for all tests: lines, functions with theirs, and what has docstrings."""
+
+    lines: dict[str, int]
+    functions: list[tuple[str, int]]
+    imports: int
+    outlines: dict[str, ast.Module]
+
+
+@cache
+def parsed() -> Package:
+    """Return the files of the package; of one tree at a time, as all of them are a hundred thousand statements."""
+    lines, functions, imports, outlines = {}, [], 0, {}
+    for path in PACKAGE.rglob("*.py"):
+        file, text = str(path.relative_to(PACKAGE)), path.read_text("utf-8")
+        tree, lines[file] = ast.parse(text), text.count("\n")
+        for node in statements(tree):
             if isinstance(node, ast.FunctionDef):
                 functions.append((f"{file}: {node.name}", lines_of(node, node.body)))
             elif isinstance(node, ast.Import | ast.ImportFrom):
                 imports += lines_of(node, [])
-    lines = {file: text.count("\n") for file, text in sources.items()}
-    assert 200 < len(sources) <= FILES
-    assert [str(file) for file, count in lines.items() if count > LINES_OF_A_FILE] == []
+        outlines[file] = outline(tree)
+    return Package(lines, functions, imports, outlines)
+
+
+def test_functions_with_many_arguments_name_each_of_them() -> None:
+    outlines = parsed().outlines
+    functions = [one for tree in outlines.values() for one, owner in public_functions(tree)]
+    assert sum(len(arguments(one, False)) >= MANY for one in functions) > 300
+    assert unnamed_arguments(outlines) == []
+
+
+def test_files_and_functions_stay_short() -> None:
+    lines, functions, imports = parsed().lines, parsed().functions, parsed().imports
+    assert 200 < len(lines) <= FILES
+    assert [file for file, count in lines.items() if count > LINES_OF_A_FILE] == []
     assert len(functions) > 3000
     assert [name for name, count in functions if count > LINES_OF_A_FUNCTION] == []
     assert 0.03 < imports / sum(lines.values()) <= PART_OF_IMPORTS

@@ -84,13 +84,14 @@ def nearest_cases(words: tuple[str, ...]) -> tuple[list[ShippedCase], int]:
 
 
 def _all_cases() -> list[ShippedCase]:
-    found = []
-    for file in shipped_files():
-        text = file.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-        about = " ".join(str(data.get("about", "")).split())
-        found.append(ShippedCase(file, str(data.get("title", "")), about, " ".join(text.split())))
-    return found
+    return [_case(file) for file in shipped_files()]
+
+
+def _case(file: Path) -> ShippedCase:
+    text = file.read_text(encoding="utf-8")
+    data = tomllib.loads(text)
+    about = " ".join(str(data.get("about", "")).split())
+    return ShippedCase(file, str(data.get("title", "")), about, " ".join(text.split()))
 
 
 def case_path(named: str | Path) -> Path:
@@ -110,9 +111,9 @@ def shipped_case(name: str) -> ShippedCase:
 
     Raises SceneError: there is none; the nearest are named.
     """
-    for case in _all_cases():
-        if case.name == name.removesuffix(SUFFIX):
-            return case
+    for file in shipped_files():
+        if file.stem == name.removesuffix(SUFFIX):
+            return _case(file)
     near = nearest_names(name)
     cure = (
         f"nearest: {', '.join(near)}" if near else "`contactqp cases` lists all, `contactqp cases WORD` those of a word"

@@ -233,6 +233,7 @@ def test_what_a_path_with_friction_cannot_do_is_refused() -> None:
         cq.follow_path(space, [[-1.0, 0.0, 0.0]], events="exact")
 
 
+@pytest.mark.slow
 def test_slips_go_on_from_refined_positions() -> None:
     """A body that forces from everywhere hold where its load would carry it a thousand times as far: digits cancel."""
     random = np.random.default_rng(2)
@@ -356,6 +357,7 @@ def test_what_falls_and_what_is_anchored_elsewhere_jumps() -> None:
     assert drawn.endswith("contact 0 is closed at the start, at E_T u = 0, and slip_origin anchors it at 0.001")
 
 
+@pytest.mark.slow
 def test_what_is_not_examined_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     space = cq.ContactProblem(np.eye(3), np.zeros(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     (note,) = cq.follow_path(space, [[-1.0, 0.0, 0.1]], steps=2).notes

@@ -83,7 +83,7 @@ def test_a_path_with_friction_is_that_without_them(events):
         assert cq.certify(here.problem, here.displacement, here.normal_force, here.friction_force).passed
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 @pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "paoli-schatzman", "penalty"])
 def test_a_motion_is_that_without_them(kind, scheme):
@@ -103,6 +103,7 @@ def test_a_motion_is_that_without_them(kind, scheme):
     assert motion.resume(0.01).normal_forces.shape == (len(plain) + 10, motion.normal_forces.shape[1])
 
 
+@pytest.mark.slow
 def test_a_motion_with_friction_that_travels():
     start = ([1.0] * 4, [0.0] * 4, [0.1, 0.0, 0.0, 0.0], 0.02, 0.001)
     motion = cq.impact(rough(idle_row=True), *start)

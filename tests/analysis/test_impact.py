@@ -23,6 +23,7 @@ def test_a_rigid_ball_comes_back_with_its_part_of_the_speed(scheme: str, restitu
     assert history.displacements.max() <= 1.0 + 0.04  # overlap of a step at most
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "paoli-schatzman", "penalty", "newmark", "backward-euler"])
 def test_overlap_that_a_scheme_allows_is_told_and_none_where_it_holds_gaps(scheme: str) -> None:
     units, name = cq.Units(length="m", force="N"), "ball on floor"
@@ -246,6 +247,7 @@ def test_a_body_that_fits_exactly_between_walls_stays_there(scheme: str, bodies:
         assert history.displacements.any()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "modified-mass-central", "deuflhard-krause-ertel"])
 def test_a_motion_is_pickled_and_copied(scheme: str) -> None:
     pull = lambda t: np.full(11, -t)  # noqa: E731
@@ -315,6 +317,7 @@ def test_a_single_mass_takes_numbers_and_its_table_says_how_far_away_it_is() -> 
     assert str(fall).splitlines()[-1].split()[-1] == f"{1 + fall.displacements[-1, 0]:.6g}"
 
 
+@pytest.mark.slow
 def test_an_elastic_rod_hits_a_wall_with_the_mass_of_its_body() -> None:
     """|v| sqrt(E rho) A = 300 until the wave is back, at 2 L / c = 2/3, as of the rod of springs and masses."""
     mesh = cq.rectangle(10.0, 1.0, (40, 2), "quad4")

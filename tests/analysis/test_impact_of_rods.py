@@ -118,6 +118,7 @@ def test_penalty_overlaps_by_its_force_and_blows_up_when_stiff() -> None:
     assert stiff.notes
 
 
+@pytest.mark.slow
 def test_a_rod_under_gravity_bounces_and_comes_back() -> None:
     """Doyen, Ern and Piperno's second benchmark: period 16 L/c, contacts [1, 5/3] and [11/3, 13/3]."""
     problem, mass = rod_at_wall(100, gravity=10.0)
@@ -211,7 +212,7 @@ def test_the_certificate_of_an_instant_is_of_what_the_history_holds(scheme: str)
     assert not history[pushing].certificate.passed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("name", ["displacement", "velocity", "normal_force"])
 @pytest.mark.parametrize(
     ("scheme", "options"),

@@ -264,6 +264,7 @@ def _of_steps(history: cq.MotionHistory) -> list[str]:
     return [note for note in history.notes if "penetrates" not in note and not note.startswith("the energy grows")]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scheme", ["backward-euler", "moreau-jean", "newmark", "deuflhard-krause-ertel"])
 def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
     """A free chain of springs between two walls, in steps of 100 vibrations: K + M/h^2 hardly feels the mass."""
@@ -279,7 +280,7 @@ def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::contactqp.TimeStepWarning")
-@pytest.mark.parametrize("held", ["tie", "contact"])
+@pytest.mark.parametrize("held", [pytest.param("tie", marks=pytest.mark.slow), "contact"])
 def test_what_comes_to_rest_under_a_load_that_ties_or_contacts_carry_is_right(held: str) -> None:
     """Implicit steps damp the motion until its velocities are no more than the rounding of the forces at rest."""
     K = [[9e4, -2e4, 1e4], [-2e4, 5e4, 3e3], [1e4, 3e3, 7e4]]

@@ -446,7 +446,7 @@ def test_unknowns_of_a_solid_have_the_names_of_its_nodes() -> None:
     assert bent.at("block node 5 y") == bent.displacement[-1]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "rise"), [("green", 0.2), ("green", 0.4), ("engineering", 0.6), ("logarithmic", 0.4)])
 def test_an_arch_pressed_onto_a_floor_comes_back_to_rest(law: str, rise: float) -> None:
     """Without load the forces left of each iteration are the largest there are, down to 1e-183, and no step ends it."""

@@ -70,6 +70,7 @@ def test_load_displacement_and_arc_length_meet():
     np.testing.assert_allclose(by_node[-1].displacement, by_load[-1].displacement, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_default_arc_length_comes_to_the_load_where_nothing_softens():
     history = cq.large_deformation(arch(), [[0.0, 1e-6]], control="arc-length", steps=10)
     np.testing.assert_allclose(history.times, np.linspace(0, 1, 11), rtol=1e-4)
@@ -97,6 +98,7 @@ def test_snapping_onto_a_floor_turns_the_load_at_a_corner(height):
     assert history.notes == ()
 
 
+@pytest.mark.slow
 def test_drawn_back_up_the_contact_opens():
     """A node that rests on a ceiling is drawn off it by a load that falls from there."""
     ceiling = node_over(cq.Plane([0.0, RISE + 0.05], [0.0, -1.0]))
@@ -295,9 +297,9 @@ def test_a_snap_under_load_is_a_limit_point_of_the_path(seed):
     assert limit.load_factor <= told[-1]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("length", "force"), [(2.0**300, 2.0**-400), (2.0**-300, 2.0**300)])
-@pytest.mark.parametrize("control", ["load", "arc-length"])
+@pytest.mark.parametrize("control", ["arc-length", "load"])
 def test_units_of_any_size_change_no_digit_of_a_path(length, force, control):
     """Displacements beyond 1e50 were those of a torn bar, and entries of 1e-200 beside rows of 1 an OverflowError."""
 

@@ -60,6 +60,7 @@ def test_two_masses_on_springs_in_steps(method: str, options: dict[str, Any], st
     assert slips == [next(time for time in history.times if time >= event) for event in exactly]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("mode", MODES)
 def test_a_truss_that_sticks_on_springs_hangs_where_it_touched(mode: dict[str, Any]) -> None:
     """u = (TOUCH, -1 mm) + (K + beta 1)^-1 (1 - t) f: the slider is anchored at the load at which the gap closes."""

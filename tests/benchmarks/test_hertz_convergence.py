@@ -8,6 +8,7 @@ from benchmarks import hertz_convergence
 from benchmarks.hertz_convergence import level, main, orders
 
 
+@pytest.mark.slow
 def test_force_and_peak_pressure_converge_at_first_order_or_better():
     levels = [level(divisions, (30, 45, 60)) for divisions in (6, 12, 24)]
     force, pressure = orders(levels)

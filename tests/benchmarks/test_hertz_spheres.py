@@ -42,6 +42,7 @@ def test_the_surface_beside_the_contact_sinks_as_johnson_says():
     np.testing.assert_allclose(u[:, 0] * 0.8, u[:, 1] * 0.6, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_half_space_is_in_equilibrium():
     """(1 - 2 nu) laplace(u) + grad(div(u)) = 0, by differences."""
     hertz, material = Hertz(), MATERIALS[1]

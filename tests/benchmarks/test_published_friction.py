@@ -187,7 +187,7 @@ def test_a_folder_is_needed(monkeypatch, tmp_path, capsys):
 
 
 @needs_siconos
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_siconos_solves_what_was_made(dimension):
     local, _, _ = made(4, dimension=dimension)
     runs = friction_runs.run_siconos(Published("made", local), 10.0)

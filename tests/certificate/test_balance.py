@@ -96,6 +96,7 @@ def test_no_bound_is_claimed_of_contact_forces_that_count_as_nothing_beside_what
         assert not cq.certify(squeezed(8e3), more.displacement, [wrong]).passed
 
 
+@pytest.mark.slow
 def test_a_load_that_balances_but_for_its_rounding_is_proven() -> None:
     chain = squeezed(0.0)
     rng = np.random.default_rng(3)

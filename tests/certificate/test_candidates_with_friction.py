@@ -89,6 +89,7 @@ def test_contacts_that_close_beyond_the_candidates_join_them() -> None:
     same(second, all_at_once(large))
 
 
+@pytest.mark.slow
 def test_what_closes_nothing_and_what_starts_from_there() -> None:
     problem = pressed("supported")
     apart = cq.solve(problem.replace(gap=problem.gap + 1.0))
@@ -107,6 +108,7 @@ def test_the_next_load_needs_no_factorisation() -> None:
     same(second, all_at_once(problem.replace(load=0.98 * problem.load)))
 
 
+@pytest.mark.slow
 def test_a_body_that_friction_alone_holds_is_condensed_onto_all_contacts() -> None:
     """Pushed sideways on a flat floor it would slide away without friction, so that no first candidates are known."""
     body = Body(box((1.0, 1.0, 0.5), (CELLS, CELLS, 2)), Material(1.0, 0.3), "3d", name="block")

@@ -29,7 +29,7 @@ def wedge(angle: float, load: float) -> cq.ContactProblem:
     return cq.ContactProblem([[1.0, 0.0], [0.0, 1.0]], [0.0, load], [[1.0, 0.0], [-1.0, angle]], [1.0, -1.0])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("exponent", range(30, 51))
 def test_bounds_cover_the_errors_of_nearly_parallel_contacts(exponent: int) -> None:
     problem = corner(2.0**-exponent)

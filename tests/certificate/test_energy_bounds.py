@@ -35,6 +35,7 @@ def test_a_dominant_row_beside_one_that_is_not_has_nothing_to_spare() -> None:
     assert diagonal_dominance(problem_of(K)) == pytest.approx([0.0, 0.0, 3.0])
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_what_is_left_of_the_stiffness_is_semidefinite(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -176,6 +177,7 @@ def test_an_unknown_that_runs_away_hides_no_penetration() -> None:
     assert found.energy_error is None or found.energy_error > 1.0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("part", [0.0, 1e-8, 3e-6, 1e-5])
 def test_the_displacement_of_a_slender_beam_is_judged_where_its_energy_is(part: float) -> None:
     """Its factors tell that it is held, though forces move it as far as they move what nothing holds."""
@@ -225,6 +227,7 @@ def test_what_an_unbalanced_force_may_gain_is_bounded_by_the_constraints_that_st
     assert bound == pytest.approx(most, rel=1e-9, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_a_stationary_point_whose_elastic_energy_is_negative_has_no_bounds() -> None:
     """K is 1e-14 short of semidefinite, which its own rounding could be: at rest the energy is less than at K u = f."""
     z = np.array([0.0, 1.0, -1.0, 2.0, 2.0])
@@ -243,6 +246,7 @@ def test_a_stationary_point_whose_elastic_energy_is_negative_has_no_bounds() -> 
         cq.solve(problem)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("shift", [0.1, 1.0 / 3.0, 7.3])
 def test_the_rounding_of_a_rigid_motion_is_no_negative_energy(shift: float) -> None:
     """A chain between bounds that only asks to be straight: u' K u is zero, and its rounding has either sign."""

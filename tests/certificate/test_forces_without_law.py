@@ -54,6 +54,7 @@ def refused_for_its_force(certificate: Any) -> bool:
     return not certificate.passed and any("force_error" in failure for failure in certificate.failures)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("others", [False, True])
 def test_friction_of_a_smooth_contact_is_an_error_of_the_forces(others: bool) -> None:
     """Beside it other contacts are smooth, too, or one is rough."""
@@ -71,6 +72,7 @@ def test_friction_of_a_smooth_contact_is_an_error_of_the_forces(others: bool) ->
         assert certificate.force_bound[0] >= abs(size)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
 def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
     problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -1.0)]), gap=[1.0, np.inf])
@@ -83,6 +85,7 @@ def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
     assert certificate.force_error > 1e-5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
 def test_units_of_rows_do_not_hide_a_force_that_the_law_makes_zero(force: float) -> None:
     """Rows scaled so far that the problem is judged in units of its own: the verdict, and the error, stay the same."""
@@ -106,6 +109,7 @@ def test_an_absurd_force_that_the_law_makes_zero_is_refused() -> None:
     assert "contact 1" in " ".join(certificate.failures)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("force", [STRAY, 1e-2])
 def test_forces_of_ties_are_forces(force: float) -> None:
     problem = on_a_stop(gap=[2.0], tie=row(TIP), tie_value=[-20.0])
@@ -153,6 +157,7 @@ def machine(spring: float) -> cq.ContactProblem:
     return cq.ContactProblem(np.diag([spring, 1e6 * spring]), [-1e5, 3e6], rows, [0.0, 0.1, 0.0])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("spring", [0.0, 1e-12, 1e-9, 1e-7, 1e-3, 1.0])
 def test_which_feet_stand_on_their_shims_does_not_depend_on_weak_springs(spring: float) -> None:
     problem = machine(spring)
@@ -178,6 +183,7 @@ def machine_with_friction(spring: float) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("spring", [1e-9, 1e-6, 1e-2])
 def test_machines_that_slide_far_on_weak_springs_stand_on_their_shims(spring: float) -> None:
     problem = machine_with_friction(spring)
@@ -201,6 +207,7 @@ def test_gaps_that_count_as_nothing_beside_others_are_told() -> None:
     assert not any("not told from zero" in note for note in cq.solve(near).certificate.notes)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("force", [STRAY, 1e-2])
 def test_forces_of_ties_are_forces_with_friction_too(force: float) -> None:
     problem = on_a_stop(gap=[2.0], tie=row(TIP), tie_value=[-20.0], tangent=row(MIDDLE - 40), friction=[0.3])
@@ -230,7 +237,7 @@ def on_three_supports(rough: bool, more: int = 0) -> cq.ContactProblem:
     return cq.ContactProblem(stiffness, load, stops, [0.02, 0.03], tie=held, tie_value=values, **friction)
 
 
-@pytest.mark.parametrize("rough", [False, True])
+@pytest.mark.parametrize("rough", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_forces_of_ties_that_hold_a_floating_body_are_forces(rough: bool) -> None:
     """Those of three supports in line may change together without a resultant."""
     problem = on_three_supports(rough)
@@ -263,6 +270,7 @@ def test_forces_of_ties_are_compared_where_nothing_is_condensed() -> None:
     assert errors == pytest.approx([0.0, sizes[0] / sizes[1]], rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_large_forces_of_ties_elsewhere_hide_no_contact_force() -> None:
     problem = on_three_supports(rough=False, more=1)
     solution = cq.solve(problem)

@@ -181,8 +181,8 @@ def space_problem(
 @pytest.mark.parametrize(
     ("floating", "problems", "least"),
     [
-        (False, 16, 1),
         (True, 8, 1),
+        pytest.param(False, 16, 1, marks=pytest.mark.slow),
         pytest.param(False, 40, 12, marks=pytest.mark.slow),
         pytest.param(True, 60, 12, marks=pytest.mark.slow),
     ],
@@ -408,6 +408,7 @@ def by_sparse_systems(problem: cq.ContactProblem) -> cq.ContactProblem:
     return again
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("model", "tied"), [("plane-strain", False), ("plane-strain", True), ("3d", False), ("3d", True)]
 )
@@ -441,6 +442,7 @@ def test_two_hundred_contacts_are_proven_and_condensed_where_that_is_asked_for()
     assert (found.proven, found.scope) == (True, "local")
 
 
+@pytest.mark.slow
 def test_beyond_the_size_of_a_global_statement_there_is_a_local_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 23)
     monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 23)

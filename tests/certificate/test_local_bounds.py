@@ -63,7 +63,7 @@ def drawn(rng: np.random.Generator, skew: bool = False) -> tuple[Any, Any, Any]:
     return W, rng.integers(-6, 7, 2 * m), rng.choice([0.0, 0.25, 1.0, 4.0], m)
 
 
-@pytest.mark.parametrize("problems", [30, pytest.param(110, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [15, pytest.param(110, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("skew", [False, True])
 def test_no_bound_is_below_the_distance_to_exact_forces(skew: bool, problems: int) -> None:
     rng, claimed, several = np.random.default_rng(5), {"global": 0, "local": 0, None: 0}, 0
@@ -195,7 +195,7 @@ def other_slips(W: Any, q: Any, mu: float, angle: float) -> list[Any]:
 
 
 @pytest.mark.parametrize("form", ["local", "skew", "bodies"])
-@pytest.mark.parametrize("problems", [120, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [50, pytest.param(2000, marks=pytest.mark.slow)])
 def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
     """In space, where friction beside the critical one has two answers near each other."""
     rng, local = np.random.default_rng(4), 0

@@ -451,6 +451,7 @@ def test_small_numbers_beside_others_are_no_reason_to_refuse(where: float) -> No
     assert solution.displacement.tolist() == [0.0, where]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("size", [1e-145, 1e10, 1e145])
 def test_derivatives_have_their_digits_or_are_refused(size: float) -> None:
     """An unknown without stiffness in a tie of 1e155: its motion is as long, its square infinite, its rate was zero."""

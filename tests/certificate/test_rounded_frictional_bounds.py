@@ -25,6 +25,7 @@ def sliding_node(
     return problem, [across, f - a * g - b * across]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("soft", [1.0, 2.0**-20, 2.0**-30])
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12])
 def test_no_bound_is_below_the_distance_by_what_doubles_round(soft: float, off: float) -> None:
@@ -72,6 +73,7 @@ def soft_pair(rng: np.random.Generator, soft: float) -> tuple[np.ndarray, Fracti
     return np.block([[own, beside], [beside, own]]), across / abs(between)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("soft", [2.0**-10, 2.0**-30, 2.0**-36])
 def test_rounding_of_a_soft_body_hides_no_friction_above_the_critical(soft: float) -> None:
     rng, undecided = np.random.default_rng(3), 0
@@ -169,6 +171,7 @@ def sticking_force(W: np.ndarray, offset: np.ndarray) -> list[Fraction]:
     return [(b * s - c * p) / (a * c - b * b), (b * p - a * s) / (a * c - b * b)]
 
 
+@pytest.mark.slow
 def test_friction_within_rounding_of_its_bound_may_be_beyond_it() -> None:
     rng, proven = np.random.default_rng(4), 0
     for _ in range(60):

@@ -8,7 +8,7 @@ import pytest
 import contactqp as cq
 
 
-@pytest.mark.parametrize("width", [1, 2])
+@pytest.mark.parametrize("width", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_what_an_error_of_the_slip_origin_makes_of_the_answer_is_bounded(width: int) -> None:
     """|d|_W <= sum (mu_i n_i + t_i) |delta_i| / (1 - kappa), as docs/formulation.md says; a tenth bounds nothing."""
     rng, m, parts = np.random.default_rng(5), 3, []

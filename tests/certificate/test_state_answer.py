@@ -29,6 +29,7 @@ def test_a_wrong_force_that_breaks_no_figure_is_refused(family: str, seed: int) 
     assert any(failure.startswith("state: ") for failure in certificate.failures)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("axial", "status"), [(0.0, "stick"), (1.0, "slip")])
 @pytest.mark.parametrize("part", [0.5, 1e-4, 3e-6])
 def test_a_contact_force_half_as_large_again_under_a_slender_cantilever_is_refused(
@@ -370,6 +371,7 @@ RIGID = [
 ]
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(("make", "displacement", "normal", "friction", "tie"), RIGID)
 @pytest.mark.parametrize("wrong", ["", "normal", "friction", "tie"])
 def test_what_rounding_alone_measures_refuses_no_right_answer(make, displacement, normal, friction, tie, wrong) -> None:

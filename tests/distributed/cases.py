@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
-# Numbers of ranks that lists of cases are run on; more of them take minutes on two cores.
-RANKS = (2, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 3, 4)))
-
-
-def few_and_all(few: tuple[str, ...], every: tuple[str, ...]) -> list[object]:
-    """Numbers of ranks with what is run on them: a few of every kind on two, and the whole list on one to four."""
-    assert set(few) <= set(every)
-    slow = [pytest.param(count, every, marks=pytest.mark.slow, id=f"{count}-all") for count in (1, 2, 3, 4)]
-    return [pytest.param(2, few, id="2-few"), *slow]
+# Numbers of ranks that whole lists of cases are run on, with `-m slow`: test_together.py runs a few of each on two.
+RANKS = (1, 2, 3, 4)
 
 
 # Two bodies of bars meet each other and a wall while the load grows in six steps; 7 answers with the start.

@@ -29,7 +29,9 @@ def same(found: dict, case) -> bool:
     return bool(close) and found["events"] == events
 
 
-@pytest.mark.parametrize(("other", "third"), [(1, 2), pytest.param(3, 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("other", "third"), [(1, 1), *(pytest.param(*counts, marks=pytest.mark.slow) for counts in ((1, 2), (3, 1)))]
+)
 def test_a_killed_run_goes_on_from_its_last_step_on_another_number_of_ranks(
     on_ranks, python_on_ranks, tmp_path, other, third
 ):

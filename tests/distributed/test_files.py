@@ -15,9 +15,7 @@ from tests.distributed.cases import RANKS
 NAMES = ("bar-and-wall", "merged-chain", "floating-2", "redundant-1", "tied-1", "frictional-1", "large-1")
 
 
-@pytest.fixture(scope="module")
-def gallery(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gallery")
+def write_gallery(folder):
     for known in problems():
         if known.name in NAMES:
             tied = tuple(f"joint {k}" for k in range(known.problem.ties))
@@ -25,14 +23,23 @@ def gallery(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def gallery(tmp_path_factory):
+    return write_gallery(tmp_path_factory.mktemp("gallery"))
+
+
 def run(python_on_ranks, count, *arguments):
     return python_on_ranks(count, "-m", "contactqp", "run", *arguments, "--engine", "petsc")
 
 
+def are_the_same(said: str, ranks: int, names: tuple[str, ...]) -> None:
+    assert said.splitlines() == [f"{name}: the same on {ranks}" for name in names]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", RANKS)
 def test_a_problem_of_the_first_rank_is_dealt_out(on_ranks, gallery, ranks):
-    said = on_ranks("problems_of_first_rank.py", ranks, *(gallery / name for name in NAMES))
-    assert said.split("\n")[:-1] == [f"{name}: the same on {ranks}" for name in NAMES]
+    are_the_same(on_ranks("problems_of_first_rank.py", ranks, *(gallery / name for name in NAMES)), ranks, NAMES)
 
 
 def test_a_part_that_is_wrong_is_seen(on_ranks, gallery):

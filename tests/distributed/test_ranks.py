@@ -7,7 +7,7 @@ import pytest
 from tests.distributed.conftest import finished
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_all_ranks_are_there(on_ranks, monkeypatch, count):
     monkeypatch.setenv("PETSC_OPTIONS", "-greeting hello")
@@ -29,7 +29,7 @@ def test_a_run_that_hangs_fails_the_test(start_ranks):
         finished(start_ranks(2, "-c", hangs), limit=3)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", [1, 2, 3, 4])
 def test_rows_come_where_they_are_sent(on_ranks, ranks):
     assert on_ranks("exchanged.py", ranks) == f"the same on {ranks}\n"

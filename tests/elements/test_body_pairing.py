@@ -272,6 +272,7 @@ def test_the_mortar_refuses_quadratic_facets_and_facets_behind_each_other():
         cq.pair_mortar(upper, both)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("mine", "theirs"), [("quad4", "quad4"), ("tri3", "quad4"), ("quad4", "tri3"), ("tri3", "tri3")]
 )

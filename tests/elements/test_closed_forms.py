@@ -75,7 +75,7 @@ def cantilever_error(kind, cells, wrong=1.0):
     return error(u, exact)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", PLANE)
 def test_the_cantilever_converges_to_timoshenkos(kind):
     cells = [4, 8, 16] if degree(kind) == 1 else [2, 4, 8]

@@ -40,7 +40,7 @@ def _random_parts(names: list[str], random: np.random.Generator) -> list[Part]:
     ]
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(25))
 def test_the_minimum_is_that_of_the_energy_as_stated(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -67,6 +67,7 @@ def _simple_beam(load: float, hinges: list[Part]) -> cq.ConstrainedEnergy:
     return cq.ConstrainedEnergy(["t"], [[10.0]], [load], hinges)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("hardening", [0.0, 2.5])
 @pytest.mark.parametrize("load", [-9.0, -4.0, 3.0, 7.0, 20.0])
 def test_a_hinge_yields_both_ways_and_hardens(load: float, hardening: float) -> None:

@@ -21,7 +21,7 @@ def contact_with(name, count=3, seed=0):
     return contact, random.uniform(0, 0.5, contact.dimension)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_rows_and_curvature_are_derivatives_of_the_gaps_of_now(name):
     contact, u = contact_with(name)

@@ -50,6 +50,7 @@ def in_units(obstacle, unit):
     return replace(obstacle, **named)
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("power", [-900, -600, -480, 480, 600, 900])
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_units_change_no_distance_and_no_normal(name, power):

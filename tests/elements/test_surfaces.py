@@ -170,7 +170,7 @@ def test_a_middle_node_off_the_middle_is_refused():
         cq.pair(line, cq.Plane(point=[0.0, 0.0], normal=[0.0, 1.0]))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", KINDS, ids=lambda k: k.name)
 def test_the_closest_point_is_the_least_of_a_fine_sample(kind):
     rng = np.random.default_rng(7)

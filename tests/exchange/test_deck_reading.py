@@ -164,6 +164,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes_are_named_with_their_line(tmp_path: pathlib.Path, name: str) -> None:
     old, new, said = MISTAKES[name]

@@ -30,6 +30,7 @@ from tests.exchange.files import (
 STORAGES = ("csc", "csr", "triplet")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("spare", [0, 3])
 def test_a_local_file_is_a_local_problem(tmp_path, storage, spare):
@@ -44,6 +45,7 @@ def test_a_local_file_is_a_local_problem(tmp_path, storage, spare):
     assert np.array_equal(problem.bilateral_offset, S)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("spare", [0, 3])
 def test_a_global_file_is_a_contact_problem_in_our_signs(tmp_path, storage, spare):
@@ -185,6 +187,7 @@ def contact_problem(dimension, dense):
     )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("dense", [False, True])
 def test_a_contact_problem_comes_back_bit_for_bit(tmp_path, dimension, dense):

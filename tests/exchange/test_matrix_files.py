@@ -39,6 +39,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("A", [K, WIDE], ids=["square", "wide"])
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_matrix_comes_back_to_the_last_bit(tmp_path, name, A):

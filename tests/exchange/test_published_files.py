@@ -15,6 +15,7 @@ SMALL = 900
 ROUNDING = 1e-11
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", SURVEY)
 def test_a_published_file_says_what_the_survey_found(name):
     survey, file = SURVEY[name], published(name)
@@ -49,6 +50,7 @@ def test_two_of_the_published_matrices_of_bodies_are_not_symmetric():
     assert unsymmetric == {"CubeH8.hdf5", "LMGC_GlobalFrictionContactProblem00046.hdf5"}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", [name for name in SURVEY if name.endswith(".hdf5")])
 def test_stored_solutions_are_zero_and_guesses_are_not_believed(name):
     """Why nothing that is stored beside a problem is taken for its solution."""
@@ -70,6 +72,7 @@ def test_stored_solutions_are_zero_and_guesses_are_not_believed(name):
     assert not cq.certify_local(local, guess.force).passed
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", SURVEY)
 def test_a_published_problem_survives_writing(name, tmp_path):
     stored = cq.read_problem(published(name), as_stored=True)

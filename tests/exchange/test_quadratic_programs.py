@@ -147,6 +147,7 @@ def test_names_of_unknowns_and_ranges_stand_for_their_numbers() -> None:
         cq.ContactProblem.from_qp(P, Q, **parts, range_names=["sum"])
 
 
+@pytest.mark.slow
 def test_what_is_no_qps_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("highspy")
     path = tmp_path / "t.qps"
@@ -218,6 +219,7 @@ def test_run_says_the_energy_and_how_well_it_is_known(tmp_path: Path, capsys: py
     assert "P.mat" in table
 
 
+@pytest.mark.slow
 def test_explain_says_what_a_program_is_made_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("explain", str(matlab(tmp_path / "P.mat")), "--json") == 0
     found = json.loads(capsys.readouterr().out)

@@ -99,6 +99,7 @@ BAD_HDF5 = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("fault", BAD_HDF5)
 def test_an_fclib_file_with_a_fault(tmp_path, fault):
     tree, expected = BAD_HDF5[fault]
@@ -140,6 +141,7 @@ def test_a_file_that_is_none_or_no_hdf5(tmp_path):
             assert "\n" not in str(refused.value)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fraction", np.linspace(0.3, 0.98, 18))
 def test_a_damaged_hdf5_file_is_refused_or_whole(tmp_path, fraction):
     """Wherever bytes are overwritten, the answer is one line or the problem, never another exception."""
@@ -214,6 +216,7 @@ BAD_TEXT = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("fault", BAD_TEXT)
 def test_a_siconos_file_with_a_fault(tmp_path, fault):
     text, expected = BAD_TEXT[fault]

@@ -79,6 +79,7 @@ def test_the_energy_of_a_rounded_corner_is_enclosed(seed: int) -> None:
     assert upper - lower <= Fraction(1, 10**12) * abs(exact)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_planes_that_conflict_are_told_apart(seed: int) -> None:
     problem, point, forces = corner(seed)
@@ -272,6 +273,7 @@ def tied_twice(hidden: float) -> cq.ContactProblem:
     return cq.ContactProblem(stiffness, load, [[0.0, 0.0, 1.0, 0.0]], [0.5], tie=ties, tie_value=np.zeros(3))
 
 
+@pytest.mark.slow
 def test_a_tie_that_is_a_sum_of_others_is_judged_as_they_are() -> None:
     """Where they hold unknowns at zero its own lengths are rounding, of which an answer may miss all."""
     problem = tied_twice(0.0)

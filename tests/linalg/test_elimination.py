@@ -94,6 +94,7 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
     assert np.max(abs(one.displacement - other.displacement)) <= 1e-14 * np.max(abs(one.displacement))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("step", "way"), [(2, BackSubstitution), (4, BackSubstitution), (9, TrailingBlock)])
 def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, way):
     """Among many that are retained, and in small bodies, back-substitutions are cheaper."""

@@ -89,7 +89,7 @@ def test_a_proof_travels_with_its_exception() -> None:
     assert copy.proof.normal.tolist() == [1.0, 1.0]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("method", METHODS)
 def test_rounding_of_a_load_drives_nothing(method: str) -> None:
     """F sin(pi) = 4e-14 beside F on an unknown that nothing holds is no load, and off a stop it is no absence."""

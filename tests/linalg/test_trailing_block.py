@@ -89,7 +89,7 @@ def dense(K, f, c):
     return D, S, f_S, u
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", CASES)
 def test_bodies_leave_the_dense_schur_complement(case):
     K, f, c = CASES[case]()

@@ -96,7 +96,7 @@ HOLDERS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.mark.sampled(11)
+@pytest.mark.sampled(22)
 @pytest.mark.parametrize("kind", HOLDERS)
 @pytest.mark.parametrize("way", ["made", "copied", "deeply copied", "pickled"])
 def test_no_array_can_be_written(kind: str, way: str) -> None:
@@ -209,6 +209,7 @@ NO_NUMBERS: dict[str, Any] = {
 }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("kind", NO_NUMBERS)
 @pytest.mark.parametrize("door", ["problem", "replace", "local", "global"])
 def test_a_coefficient_of_friction_is_a_number(kind: str, door: str) -> None:
@@ -285,7 +286,7 @@ DOORS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("mask", [True, False])
 def test_masked_arrays_are_refused_wherever_arrays_are_read(door: str, mask: bool) -> None:
@@ -322,7 +323,7 @@ NUMBERS: dict[str, Callable[[Any], Any]] = {
 NO_NUMBER = ("1", b"1", np.datetime64("2020-01-01"), np.timedelta64(3, "s"), 1 + 0j, object(), [None], {"a": 1})
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("door", [*COUNTS, *NUMBERS])
 @pytest.mark.parametrize("value", NO_NUMBER, ids=lambda value: type(value).__name__)
 def test_what_is_no_number_is_refused_in_one_line(door: str, value: Any) -> None:

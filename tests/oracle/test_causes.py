@@ -208,6 +208,7 @@ def test_inexact_forces_are_no_pressures() -> None:
     assert "pressure" not in [finding.kind for finding in judged.findings]
 
 
+@pytest.mark.slow
 def test_other_questions_are_answered_once_for_each_problem(
     right: cq.Solution, monkeypatch: pytest.MonkeyPatch
 ) -> None:

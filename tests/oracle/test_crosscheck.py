@@ -86,7 +86,11 @@ def test_friction_that_yields_is_wrong_where_the_normal_forces_are_right(tmp_pat
     assert judged(tmp_path).pairs[0].friction is None
 
 
-@pytest.mark.parametrize(("element", "kind"), [("hex8", "NODE TO SURFACE"), ("hex20", "SURFACE TO SURFACE")])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("element", "kind"),
+    [("hex8", "NODE TO SURFACE"), ("hex20", "SURFACE TO SURFACE")],
+)
 def test_friction_of_a_block_that_slips_is_its_part_of_the_normal_force(
     tmp_path: pathlib.Path, element: str, kind: str
 ) -> None:
@@ -311,6 +315,7 @@ def test_both_pressures_and_their_difference_are_drawn(
     assert (code, len(error.splitlines())) == (2, 1)
 
 
+@pytest.mark.slow
 def test_pictures_of_pressures_have_the_units_that_are_told(tmp_path: pathlib.Path) -> None:
     pytest.importorskip("matplotlib")
     from contactqp.pictures.drawing import crosscheck_figure
@@ -332,6 +337,7 @@ def test_pairs_of_two_types_are_refused_before_calculix_ends_at_them(tmp_path: p
         cq.crosscheck(deck)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("size", [1e3, 1e15, 1e40, 1e59])
 def test_one_displacement_far_away_is_wrong(tmp_path: pathlib.Path, size: float) -> None:
     def change(u: np.ndarray) -> np.ndarray:

@@ -68,7 +68,7 @@ def holds(enclosed: cq.ExactSolution, exact: cq.ExactSolution) -> bool:
     )
 
 
-@pytest.mark.sampled(84)
+@pytest.mark.sampled(168)
 @pytest.mark.parametrize("name", [name for name, entry in FAMILIES.items() if entry.solvable and "printed" not in name])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_every_interval_holds_the_exact_rational(name: str, seed: int) -> None:

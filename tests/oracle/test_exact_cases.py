@@ -194,7 +194,7 @@ def test_a_slip_direction_in_space_that_is_rational() -> None:
     assert answer.slip[0, 0] / answer.slip[0, 1] == F(12, 5)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", ["truss_floor_printed", "two_bars", "string_over_floor_fine", "cantilever_stop"])
 @pytest.mark.parametrize("method", ["clarabel", "osqp", "lemke"])
 def test_any_method_may_propose(name: str, method: str) -> None:

@@ -76,7 +76,7 @@ def test_events_of_redundant_contacts_are_those_of_exact_answers(family_name: st
     assert seen >= 2
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_linear_programs_with_many_multipliers_have_the_rates_of_exact_answers(seed: int) -> None:
     problem, rng = family("linear_programs", seed), np.random.default_rng(seed)
     solution, answer = cq.solve(problem), cq.exact(problem, enclose=False)
@@ -165,8 +165,10 @@ def test_rates_at_redundant_contacts_are_differences_of_exact_answers(problems: 
     assert min(compared // 6, refused // 5, kinks // 3, by_rows) >= problems
 
 
-@pytest.mark.parametrize("problems", [2, pytest.param(12, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("border", [False, True])
+@pytest.mark.parametrize(
+    ("border", "problems"),
+    [(True, 2), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((False, 12), (True, 12)))],
+)
 def test_rates_are_differences_of_exact_answers_and_those_in_doubles(border: bool, problems: int) -> None:
     rng, seen, reached, step = np.random.default_rng(21), 0, 0, Fraction(STEP)
     for _ in range(problems):

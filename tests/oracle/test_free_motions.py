@@ -47,6 +47,7 @@ def test_a_stack_that_may_slide_has_its_forces_to_many_digits(stack: cq.ExactSol
     assert stack.doubles.normal_force == pytest.approx(floats.normal_force, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_its_joints_carry_all_vertical_load(stack: cq.ExactSolution) -> None:
     """With E u = 1 for the body's motion: what pushes on it from below less what pushes from above is its load."""
     problem = stack.problem

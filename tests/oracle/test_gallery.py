@@ -21,7 +21,7 @@ from tests.oracle.exact_conditions import broken_conditions, doubles, is_semidef
 EVERY = problems("named") + [known for kind in RANDOM for known in problems(kind, count=6)]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_answer_satisfies_every_condition_exactly(known: GalleryProblem) -> None:
     assert broken_conditions(known.data, known.exact) == []
@@ -38,7 +38,7 @@ def test_the_conditions_hold_whatever_the_seed(kind: str) -> None:
     assert {name: names for name, names in broken.items() if names} == {}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_data_are_doubles_or_what_rounding_them_changes_is_said(known: GalleryProblem) -> None:
     assert known.data.rounded() == (() if known.rounding == 0 else ("friction",))
@@ -48,7 +48,7 @@ def test_the_data_are_doubles_or_what_rounding_them_changes_is_said(known: Galle
         assert doubles(x for row in known.exact.friction_force for x in row)
 
 
-@pytest.mark.sampled(13)
+@pytest.mark.sampled(26)
 @pytest.mark.parametrize("known", EVERY)
 def test_the_certificate_passes_the_answer_and_the_solver_finds_it(known: GalleryProblem) -> None:
     problem, right = known.problem, (known.displacement, known.normal_force, known.friction_force, known.tie_force)
@@ -66,6 +66,7 @@ def test_the_certificate_passes_the_answer_and_the_solver_finds_it(known: Galler
         np.testing.assert_allclose(found, pushed, rtol=0, atol=1e-9 * _largest(pushed))
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("known", EVERY)
 def test_a_changed_answer_breaks_a_condition(known: GalleryProblem) -> None:
     answer = known.exact
@@ -245,7 +246,7 @@ FINGERPRINTS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", RANDOM)
 def test_random_problems_never_change(kind: str) -> None:
     assert _fingerprint(kind) == FINGERPRINTS[kind]

@@ -27,7 +27,7 @@ def _certified(name: str, seeds: range) -> Iterator[tuple[cq.ContactProblem, dic
             yield problem, {"displacement": solution.displacement, "normal_force": solution.normal_force}
 
 
-@pytest.mark.sampled(19)
+@pytest.mark.sampled(38)
 @pytest.mark.parametrize("seeds", SEEDS, ids=["one", "more"])
 @pytest.mark.parametrize("name", WELL_POSED)
 def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, seeds: range) -> None:
@@ -99,7 +99,7 @@ def test_frictional_answers_from_displacements(seed: int) -> None:
         assert without.passed, without.failures
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(12))
 def test_frictional_answers_from_forces(seed: int) -> None:
     known = several(seed, ties=seed % 2)

@@ -17,7 +17,7 @@ from tests.decks import STACK, lame_force, press_fit, two_blocks, write
 from tests.pictures.examples import FLOOR, POISSON, PRESSURE, block, cube, solved, stack, uniaxial, with_friction
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", ["tri3", "quad4", "tri6", "quad8"])
 @pytest.mark.parametrize("thickness", [1.0, 0.5])
 def test_a_block_under_pressure(kind, thickness):
@@ -229,6 +229,7 @@ def test_friction_of_a_deck_acts_on_its_slave_nodes(tmp_path):
     np.testing.assert_allclose(pairing.friction, expected.reshape(-1, 3)[nodes], atol=1e-12 * abs(slave).max())
 
 
+@pytest.mark.slow
 def test_a_curved_pair_of_a_deck_is_mapped_with_its_pressures(tmp_path):
     deck = cq.read_deck(write(tmp_path, press_fit("SURFACE TO SURFACE", "LINEAR\n1e8")))
     (pairing,) = fields_of_deck(deck, cq.solve(deck.problem())).pairings
@@ -243,6 +244,7 @@ def test_the_fields_of_a_deck_are_those_of_its_own_solution(tmp_path):
             fields_of_deck(deck, cq.solve(problem))
 
 
+@pytest.mark.slow
 def test_a_deck_is_drawn_on_its_springs_and_as_a_mortar(tmp_path):
     deck = cq.read_deck(write(tmp_path, two_blocks("hex8", "SURFACE TO SURFACE", "LINEAR\n1e7")))
     for options in (dict(enforcement="penalty"), dict(discretisation="mortar")):

@@ -177,7 +177,7 @@ def test_a_membrane_is_refused_by_name():
         fields_of(scene, cq.run(scene)[-1])
 
 
-@pytest.mark.sampled(34)
+@pytest.mark.sampled(68)
 @pytest.mark.parametrize("case", [_slow_if_long(name) for name, scene in SCENES.items() if not scene.meshed])
 def test_every_case_of_bars_has_a_picture_whose_labels_stand_free(case):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

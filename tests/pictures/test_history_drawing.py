@@ -250,6 +250,7 @@ def row_of_stops(count, steps=40):
     return cq.follow_path(problem, [np.ones(count)], steps=steps)
 
 
+@pytest.mark.slow
 def test_of_many_contacts_those_that_push_hardest_and_the_sum():
     history = row_of_stops(8)
     figure = history_figure(history)

@@ -36,6 +36,7 @@ MESHES = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("command", ["run", "explain"])
 @pytest.mark.parametrize("name", MESHES)
 def test_a_wrong_mesh_is_refused_in_one_line(name, command, tmp_path, capsys):

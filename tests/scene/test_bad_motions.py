@@ -157,6 +157,7 @@ WRONG = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_motions_are_refused_in_one_line(name, tmp_path, capsys):
     old, new, words = WRONG[name]

@@ -191,6 +191,7 @@ def test_four_orders_of_the_same_loads_end_in_three_states():
     np.testing.assert_allclose([moved[0], moved[2], moved[3]], exact, rtol=1e-14)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", [1, 2, 7, 50])
 def test_the_truss_slips_to_the_same_place_in_any_number_of_steps(steps):
     """Where the way is known to a step only: friction 0.3 is below the 3/5 from which on it would stick somewhere."""

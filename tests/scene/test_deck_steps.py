@@ -46,7 +46,7 @@ def in_steps(steps: list[str], before: str = "", stack: str = STACK) -> str:
     return head.replace("\n\n", "\n")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @needs_calculix
 @pytest.mark.parametrize("name", STEPS)
 def test_loads_of_steps_are_those_of_calculix(tmp_path: pathlib.Path, name: str) -> None:

@@ -202,6 +202,7 @@ def two_blocks(overlap: float) -> cq.Structure:
     return cq.Structure([cq.Body(mesh, MATERIAL, "plane-strain", name=name) for name, mesh in meshes.items()])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("pair", [cq.pair_mortar, cq.pair_node_to_segment])
 @pytest.mark.parametrize("slave", ["bottom", "top"])
 def test_two_bodies_deep_inside_of_each_other_or_face_to_back_are_refused(pair: Any, slave: str) -> None:
@@ -226,7 +227,7 @@ def test_of_bare_points_nothing_is_known_that_could_be_doubted() -> None:
     assert doubts_of(lambda: cq.pair([[0.0, -5.0]], cq.Plane(point=[0.0, 0.0], normal=[0.0, 1.0]))) == []
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("case", sorted(SCENES))
 def test_no_case_that_comes_with_the_package_is_doubted(case: str) -> None:
     assert doubts_of(SCENES[case].problem) == []

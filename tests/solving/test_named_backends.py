@@ -110,6 +110,7 @@ def portfolio(size: int, seed: int = 0) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_few_ties_of_unknowns_that_nothing_couples_take_no_sparse_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(*_: object) -> None:
         raise AssertionError("a sparse factorisation of a diagonal stiffness with seven ties")

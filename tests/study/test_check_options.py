@@ -86,6 +86,7 @@ BAD_CANDIDATES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", BAD_CANDIDATES)
 def test_a_candidate_with_a_fault_is_exit_2(capsys, folder, name):
     text, words = BAD_CANDIDATES[name]

@@ -19,9 +19,10 @@ from contactqp.certificate.certificate import certificate_of
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
+from contactqp.study import collecting, rows
 from contactqp.study import reporting as report
-from contactqp.study import rows
 from contactqp.study.case_study import CaseStudy, load_studies
+from contactqp.study.footprint import Footprint
 from contactqp.study.rows import Row
 from contactqp.study.running.runner import Running
 from contactqp.study.settings import Setting, chosen_methods
@@ -169,7 +170,8 @@ def test_a_wrong_method_that_passes_makes_the_exit_code_1(tmp_path: Path, monkey
     assert [row.method for row in believed.rows if row.verdict == rows.WRONG] == ["liar"]
 
 
-def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path) -> None:
+def test_an_unmet_expectation_makes_the_exit_code_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collecting, "measure", lambda case, **_: Footprint(case, "active-set", failure="not measured"))
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(CASES[1].read_text().replace('value = "95 kN"', 'value = "96 kN"', 1))
     result = _write(tmp_path / "report", ["active-set"], [wrong])

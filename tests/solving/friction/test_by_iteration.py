@@ -130,6 +130,7 @@ def test_an_indefinite_stiffness_is_refused_where_no_coarse_level_shows_it(
             ask(curved)
 
 
+@pytest.mark.slow
 def test_a_next_step_starts_from_the_one_before() -> None:
     problem = fresh(BLOCK)
     first = cq.solve(problem)

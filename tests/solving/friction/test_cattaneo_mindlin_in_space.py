@@ -92,6 +92,7 @@ def test_the_circle_that_sticks(partly: Partly) -> None:
     assert np.max(partly.radius[partly.solution.normal_force > 0]) < partly.a + ELEMENT
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(3)
 def test_the_traction_along_the_push(partly: Partly) -> None:
     """q / p at the nodes, to 4 % of mu in the middle, where no element straddles a rim.

@@ -36,6 +36,7 @@ def test_rows_that_conflict_have_no_equilibrium_all_the_same() -> None:
         cq.solve(cq.ContactProblem([[1.0]], [0.0], [[1.0], [-1.0]], [1.0, -2.0]))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_motions_that_rows_bound_one_by_one_go_where_a_linear_program_sends_them(seed: int) -> None:
     rng = np.random.default_rng(seed)

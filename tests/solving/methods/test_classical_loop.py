@@ -44,6 +44,7 @@ GRAZING = (
 )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("problem_of", [lambda p: p, sparse], ids=["dense", "sparse"])
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 def test_bodies_that_nothing_holds_are_no_garbage(name: str, problem_of: object) -> None:
