@@ -150,7 +150,13 @@ def with_reaction(
     if problem.tangent is not None:
         slip = slip + (problem.tangent @ u).reshape(slip.shape)
     gap = direction.whole_gap - problem.normal @ u
-    reaction = direction.load + direction.strained - problem.stiffness_rows @ u
+    if direction.rows is not None:
+        reaction = direction.load + direction.strained - problem.stiffness_rows @ u
+    else:  # a stiffness times a motion that hardly strains it is rounding
+        tie = problem.tie[: len(found.tie)]  # behind them, what holds slips that begin along their friction
+        reaction = problem.normal.T @ found.normal + tie.T @ found.tie
+        if problem.tangent is not None:
+            reaction = reaction + problem.tangent.T @ friction.ravel()
     return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
 
@@ -284,6 +290,13 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
         dragged = problem.friction[:, None] * rates.normal_force[:, None]  # one of its three terms, which may cancel
         rounding = 8 * EPS * (abs(rates.friction_force) + abs(dragged))
         return bound.tangent + problem.friction[:, None] * bound.normal[:, None] + off.tangent + rounding
+    if of == "reaction" and direction.rows is None:
+        pairs = [(problem.normal, bound.normal, rates.normal_force), (problem.tie, bound.tie, rates.tie_force)]
+        if problem.tangent is not None:
+            unsure = errors_of(problem, "friction_force", rates, direction) if problem.frictional else 0 * bound.tangent
+            pairs.append((problem.tangent, unsure.ravel(), rates.friction_force.ravel()))
+        terms = 3 + sum(int(np.max(np.bincount(matrix.indices), initial=0)) for matrix, *_ in pairs)
+        return sum(abs(matrix).T @ (off + EPS * terms * abs(force)) for matrix, off, force in pairs)
     rows = dict(gap=problem.normal, slip=problem.tangent, reaction=problem.stiffness_rows).get(of)
     if rows is None:
         return None

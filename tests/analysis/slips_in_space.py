@@ -146,7 +146,7 @@ class Reference:
             friction[i] = e.friction[i] * push[i] * t - d.friction[i] * push[i] / size * back
         dx = solved(self._jacobian(x), np.concatenate([force, contact, friction.ravel(), e.tie_value]))
         du, dpush, ddrag, dtie = self._parts(dx)
-        reaction = e.load - e.stiffness @ u - d.stiffness @ du
+        reaction = d.normal.T @ dpush + e.normal.T @ push + d.tangent.T @ ddrag.ravel() + d.tie.T @ dtie
         energy = (d.stiffness @ u - d.load) @ du - e.load @ u + u @ (e.stiffness @ u) / 2
         slip = (d.tangent @ du).reshape(-1, 2) - e.slip_origin
         gap = e.gap - e.normal @ u - d.normal @ du

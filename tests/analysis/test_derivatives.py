@@ -455,3 +455,17 @@ def test_directions_of_any_size_have_rates_or_a_reason(size: float) -> None:
     for of in ("displacement", "normal_force", "tie_force"):
         found = cq.solve(bar).derivative(of, "tie_value", [size])
         assert found.value is not None or found.reason
+
+
+def test_the_reaction_of_a_stiff_body_that_moves_is_no_rounding() -> None:
+    """Parts on springs of 1e15 and 1e8 move by 10 as one: their stiffness times that is of 1 where nothing acts."""
+    K = np.zeros((4, 4))
+    for i, spring in enumerate((2.0**27, 2.0**50, 2.0**50)):
+        K[i : i + 2, i : i + 2] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    body = cq.ContactProblem(K, [-1.0, 0.0, 0.0, 0.0], [[-1.0, 0.0, 0.0, 0.0]], [1.0])
+    solution, answer = cq.solve(body), cq.exact(body)
+    for parameter, direction in (("gap", [1 / 3]), ("load", [-1.0, 1 / 3, 0.0, 0.0])):
+        found, true = (one.derivative("reaction", parameter, direction) for one in (solution, answer))
+        assert found.value[1:].tolist() == [0.0, 0.0, 0.0]
+        errors = [abs(Fraction(float(x)) - y) for x, y in zip(found.value, true.value, strict=True)]
+        assert all(error <= bound for error, bound in zip(errors, found.bound, strict=True))
