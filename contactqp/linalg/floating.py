@@ -302,6 +302,16 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
     return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
 
 
+def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """Return the part of the outer forces that K, being rounded, makes of stated rigid motions; zero without these."""
+    if problem.near_null_space is None or not rigid.count:
+        return 0.0
+    moved = rigid.motions @ rigid.coordinates(answer.displacement, problem.diagonal)
+    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ extend(moved)).double())
+    size = float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))
+    return float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
+
+
 def as_stated(motions: Array, stated: Array, body: Indices, weight: Vector) -> Array:
     """Return for each body the stated motions that span its rigid ones; a combination of them would be rounded.
 

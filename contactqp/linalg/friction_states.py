@@ -34,7 +34,7 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows
+from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows, made_of_motions
 from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
@@ -307,8 +307,10 @@ def refined_in(
     caution = np.inf if independent else CAUTION
     if not cleared:
         found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
-        balanced = cleared is False or not condensation.rigid.count
-        if balanced or imbalance(problem, found.answer(rows.width), condensation.rigid) <= BALANCED:
+        if cleared is False or not condensation.rigid.count:
+            return found
+        answer, rigid = found.answer(rows.width), condensation.rigid
+        if max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid)) <= BALANCED:
             return found
     return refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
 

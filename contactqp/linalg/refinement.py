@@ -14,7 +14,7 @@ import numpy as np
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
-from contactqp.linalg.floating import UNRESISTED, imbalance
+from contactqp.linalg.floating import UNRESISTED, imbalance, made_of_motions
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
     force_measure,
@@ -83,8 +83,8 @@ def answer_on(
 ) -> OnSet:
     """Solve K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, by refinement.
 
-    K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces: then it is
-    taken to be zero along these.
+    K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces, or any force
+    where these motions are stated: then it is taken to be zero along them.
 
     Parameters
     ----------
@@ -97,7 +97,9 @@ def answer_on(
     at_rest : whether, without a start, free motions take the displacement to its least norm within the gaps
     """
     found = _refined(problem, condensation, closed, start, residual, caution, at_rest)
-    missed = _imbalance(problem, condensation, found) if condensation.rigid.count else 0.0
+    if not condensation.rigid.count:
+        return found
+    missed = max(_imbalance(problem, condensation, found), made_of_motions(problem, found.doubles, condensation.rigid))
     if missed <= BALANCED:
         return found
     again = _refined(problem, condensation, closed, start, None, caution, at_rest, cleared=True)

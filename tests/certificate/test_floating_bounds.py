@@ -1,5 +1,6 @@
 """Bounds of bodies that float: rigid motions hide no strain, and the rounding of a stiffness along them is no force."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -169,6 +170,27 @@ def test_what_rounding_of_the_stiffness_pushes_is_in_the_bounds_unless_the_motio
     stated = cq.solve(problem.replace(near_null_space=np.ones((6, 1))))
     assert stated.certificate.proven
     assert stated.normal_force == pytest.approx(truth, rel=1e-13 if far > 1 else 1e-12)
+
+
+@pytest.mark.parametrize("friction", [False, True])
+def test_stated_motions_are_exact_where_rounding_balances_itself(friction):
+    """Two springs of one rounding: what the stiffness makes of the motion has no resultant, but parts two contacts."""
+    k = np.array([1.0, 1.0]) * (1 + 2.0**-52)
+    K = _chain([0.0, *k])
+    K[1, 1], K[0, 0], K[2, 2] = 2.0 + 2.0**-50, k[0] - 2.0**-52, k[1] - 2.0**-52  # K z = (-e, 2e, -e), e = 2^-52
+    assert [math.fsum(row) for row in K] == [-(2.0**-52), 2.0**-51, -(2.0**-52)]
+    load, far = -1e-3 * np.array([1.0, 2.0, 3.0]), 1e6
+    problem = cq.ContactProblem(K, load, -np.eye(3), np.full(3, far), near_null_space=np.ones((3, 1)))
+    if friction:
+        across = np.hstack([np.zeros((3, 3)), np.eye(3)])
+        K, rows = (
+            np.block([[K, np.zeros((3, 3))], [np.zeros((3, 3)), np.eye(3)]]),
+            np.hstack([-np.eye(3), np.zeros((3, 3))]),
+        )
+        motion = np.vstack([np.ones((3, 1)), np.zeros((3, 1))])
+        forces = {"tangent": across, "friction": 0.3, "near_null_space": motion}
+        problem = cq.ContactProblem(K, np.append(load, np.full(3, 1e-5)), rows, np.full(3, far), **forces)
+    assert cq.solve(problem).normal_force == pytest.approx(-load, rel=1e-12)
 
 
 @pytest.mark.parametrize("far", [1e-2, 1e2, 1e5])
