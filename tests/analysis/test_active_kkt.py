@@ -44,6 +44,7 @@ def chain(diagonal):
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(10))
 def test_signs_find_the_minimum_of_a_convex_problem(seed):
     p = problem(seed)
@@ -70,7 +71,7 @@ def test_signs_find_a_stationary_point_of_an_indefinite_problem():
     assert negative_on(K, normal[np.flatnonzero(closed)]) == 1
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("seed", range(25))
 def test_signs_with_friction_find_what_solve_finds(seed):
     p = problem(seed, n=14, friction=0.3)

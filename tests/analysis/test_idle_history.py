@@ -116,6 +116,7 @@ def test_a_motion_with_friction_that_travels():
         assert other[-1].certificate.passed
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", ["gap", "row", "tie"])
 def test_a_comparison_is_that_without_them(kind):

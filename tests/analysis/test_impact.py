@@ -12,7 +12,7 @@ import contactqp as cq
 from tests.analysis.motions import SPEED, brick, rod_at_wall, sliding_block, times_of
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("restitution", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("scheme", ["moreau-jean", "paoli-schatzman"])
 def test_a_rigid_ball_comes_back_with_its_part_of_the_speed(scheme: str, restitution: float) -> None:
@@ -23,7 +23,7 @@ def test_a_rigid_ball_comes_back_with_its_part_of_the_speed(scheme: str, restitu
     assert history.displacements.max() <= 1.0 + 0.04  # overlap of a step at most
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "paoli-schatzman", "penalty", "newmark", "backward-euler"])
 def test_overlap_that_a_scheme_allows_is_told_and_none_where_it_holds_gaps(scheme: str) -> None:
     units, name = cq.Units(length="m", force="N"), "ball on floor"
@@ -139,6 +139,7 @@ def test_redundant_contacts_share_the_force() -> None:
     assert history[-1].certificate.passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scheme", ["moreau-jean", "newmark", "deuflhard-krause-ertel", "paoli-schatzman"])
 def test_in_a_stack_each_contact_carries_what_is_above(scheme: str) -> None:
     mass = np.arange(1.0, 6.0)

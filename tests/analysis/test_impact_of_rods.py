@@ -196,7 +196,7 @@ def test_any_method_solves_the_small_problems(method: str) -> None:
     np.testing.assert_allclose(other.normal_forces, first.normal_forces, atol=1e-9 * FORCE)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "scheme",
     ["moreau-jean", "modified-mass", "paoli-schatzman", "deuflhard-krause-ertel", "newmark", "backward-euler"],

@@ -264,7 +264,7 @@ def _of_steps(history: cq.MotionHistory) -> list[str]:
     return [note for note in history.notes if "penetrates" not in note and not note.startswith("the energy grows")]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("scheme", ["backward-euler", "moreau-jean", "newmark", "deuflhard-krause-ertel"])
 def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
     """A free chain of springs between two walls, in steps of 100 vibrations: K + M/h^2 hardly feels the mass."""

@@ -212,7 +212,7 @@ def test_multipliers_follow_their_own_path(name: str, method: str, options: dict
     np.testing.assert_allclose(history[-1].friction_force[0, 0], ratio * force, rtol=tolerance, atol=1e-9)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("method", "options"), MULTIPLIERS)
 @pytest.mark.parametrize("steps", [1, 7, 40])
 def test_multipliers_stick_where_they_touched(steps: int, method: str, options: dict[str, Any]) -> None:

@@ -42,6 +42,7 @@ def late_at(call: int) -> Callable[[str], None]:
     return refuse
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MODULES)
 def test_the_steps_that_were_in_time_are_returned(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     module, run, what = MODULES[name]

@@ -94,7 +94,7 @@ def test_one_contact_by_hand(
     np.testing.assert_allclose([normal[0], friction[0, 0]], expected, rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("seed", range(40))
 def test_states_find_what_the_algorithms_find(seed: int) -> None:
     rng = np.random.default_rng(seed)

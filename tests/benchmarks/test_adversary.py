@@ -171,6 +171,7 @@ def test_of_what_hangs_and_of_wild_numbers_the_command_is_written(tmp_path: Path
         assert text.endswith(f"python -m benchmarks.adversary --seed 0 --trial {number} --kind {kinds[0]}\n")
 
 
+@pytest.mark.slow
 def test_problems_without_friction_may_have_tangents() -> None:
     sentences = [draw(np.random.default_rng(seed), "frictionless") for seed in range(80)]
     assert any(one.posed.plain.tangent is not None and not one.posed.plain.frictional for one in sentences)

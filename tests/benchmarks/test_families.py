@@ -27,7 +27,7 @@ def wall() -> cq.ContactProblem:
     return cq.ContactProblem(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3])
 
 
-@pytest.mark.sampled(16)
+@pytest.mark.sampled(32)
 @pytest.mark.parametrize("name", FAMILIES)
 def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) -> None:
     one, again, other = family(name, 3), family(name, 3), family(name, 4)
@@ -37,7 +37,7 @@ def test_seeds_give_the_same_problem_again_and_other_seeds_another(name: str) ->
     assert one.load.shape != other.load.shape or not np.array_equal(one.load, other.load)
 
 
-@pytest.mark.sampled(18)
+@pytest.mark.sampled(36)
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_solution_exists_exactly_where_the_family_says_so(name: str, seed: int) -> None:

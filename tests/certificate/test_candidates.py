@@ -36,6 +36,7 @@ def all_at_once(problem: cq.ContactProblem) -> cq.Solution:
     return cq.solve(fresh)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "gap",
     [

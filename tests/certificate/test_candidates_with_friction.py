@@ -157,6 +157,7 @@ def test_answers_of_others_are_judged_with_all_contacts(wrong: str) -> None:
     assert certificate.passed == (wrong == "none"), str(certificate)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("held", HELD)
 def test_a_block_that_is_condensed_further_is_that_of_the_stiffness(held: str) -> None:
     problem = pressed(held)

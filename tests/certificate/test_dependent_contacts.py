@@ -29,7 +29,7 @@ def wedge(angle: float, load: float) -> cq.ContactProblem:
     return cq.ContactProblem([[1.0, 0.0], [0.0, 1.0]], [0.0, load], [[1.0, 0.0], [-1.0, angle]], [1.0, -1.0])
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("exponent", range(30, 51))
 def test_bounds_cover_the_errors_of_nearly_parallel_contacts(exponent: int) -> None:
     problem = corner(2.0**-exponent)
@@ -96,6 +96,7 @@ def wall_beside_a_bed(random: np.random.Generator) -> cq.ContactProblem:
     return cq.ContactProblem(stiffness, [6.0, 0.0, 0.07, 0.0, 0.01], rows, [1.0, -1.0, 0.0, 0.0])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_noise_of_a_body_at_rest_is_not_measured_by_itself(seed: int) -> None:
     """u* = (1, 0, 0, 0, 0), λ* = (1, 0, 0.07, 0.01): what hardly moves there hides nothing of the walls' forces."""

@@ -65,7 +65,7 @@ def test_a_conflict_of_ties_is_proven_however_small(method, excess, scale):
     assert proof.excess == pytest.approx(abs(excess) * scale, rel=1e-6)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
 @pytest.mark.parametrize("excess", [1e-3, 1e-9])
 def test_a_conflict_of_contacts_is_proven_however_small(method, excess):
@@ -109,7 +109,7 @@ def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
         cq.solve(membrane.replace(tie_value=[0.001, 0.001, 0.0041, 0.0]))
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("seed", range(24))
 def test_bounds_of_shared_forces_hold_in_any_units(seed: int) -> None:
     """Of the forces of contacts and ties, |E'dl + A'dnu| in K^-1 over that of the answer is no larger than the bound.

@@ -212,7 +212,7 @@ def test_with_friction_as_well(far):
         assert "whether springs or rounding resist the rigid motions" in judged.reasons[0]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("contrast", [1.0, 1e6, 1e12])
 @pytest.mark.parametrize("springs", [3, 60])
 def test_the_norm_of_forces_on_a_floating_chain_is_right_to_its_rounding(springs, contrast):

@@ -72,7 +72,7 @@ def test_friction_of_a_smooth_contact_is_an_error_of_the_forces(others: bool) ->
         assert certificate.force_bound[0] >= abs(size)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
 def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
     problem = on_a_stop(normal=np.vstack([row(MIDDLE, -1.0), row(TIP, -1.0)]), gap=[1.0, np.inf])
@@ -157,7 +157,7 @@ def machine(spring: float) -> cq.ContactProblem:
     return cq.ContactProblem(np.diag([spring, 1e6 * spring]), [-1e5, 3e6], rows, [0.0, 0.1, 0.0])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("spring", [0.0, 1e-12, 1e-9, 1e-7, 1e-3, 1.0])
 def test_which_feet_stand_on_their_shims_does_not_depend_on_weak_springs(spring: float) -> None:
     problem = machine(spring)
@@ -183,7 +183,7 @@ def machine_with_friction(spring: float) -> cq.ContactProblem:
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("spring", [1e-9, 1e-6, 1e-2])
 def test_machines_that_slide_far_on_weak_springs_stand_on_their_shims(spring: float) -> None:
     problem = machine_with_friction(spring)

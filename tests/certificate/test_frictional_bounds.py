@@ -334,6 +334,7 @@ def test_what_cannot_close_together_does_not_stand_in_the_way() -> None:
     assert 0 < found.radius < 1.25 / np.sqrt(2 / 3)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
 def test_radius_and_bounds_have_the_units_of_the_problem(unit: float) -> None:
     data = {name: np.asarray(value) for name, value in KLARBRING.items()}
@@ -457,6 +458,7 @@ def test_beyond_the_size_of_a_global_statement_there_is_a_local_one(monkeypatch:
         assert (printed.proven, printed.scope, below_the_distance(solution, printed)) == (True, "local", 0)
 
 
+@pytest.mark.slow
 def test_beyond_the_stated_size_the_reason_is_the_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(critical_friction, "MOST_CONTACTS", 23)
     monkeypatch.setattr(critical_friction, "MOST_NEARBY", 23)

@@ -76,7 +76,7 @@ def test_a_row_of_zeros_that_is_not_met_proves_that_there_is_none(change: dict, 
     assert not cq.certify(problem, answer.displacement, answer.normal_force, tie_force=answer.tie_force).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("algorithm", [None, "tresca", "newton", "nsgs", "enumeration", "aclm"])
 def test_with_friction_they_neither_push_nor_rub(algorithm: str | None) -> None:
     rubbing = dict(tangent=[[0.0, 1.0], [0.0, 1.0], [1.0, 0.0]], friction=0.3)

@@ -25,7 +25,7 @@ def sliding_node(
     return problem, [across, f - a * g - b * across]
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("soft", [1.0, 2.0**-20, 2.0**-30])
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12])
 def test_no_bound_is_below_the_distance_by_what_doubles_round(soft: float, off: float) -> None:
@@ -127,6 +127,7 @@ def test_forces_that_may_vanish_have_no_relative_error() -> None:
     assert right.force_error < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [1, pytest.param(40, marks=pytest.mark.slow)])
 def test_slip_directions_in_space_are_doubles_and_bounds_allow_for_it(spread: int) -> None:
     """Two nodes that slip along (3, 4) / 5 and the like, as whole numbers say; slips are rounded in each digit."""

@@ -8,11 +8,13 @@ import pytest
 import contactqp as cq
 
 
-@pytest.mark.parametrize("width", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_what_an_error_of_the_slip_origin_makes_of_the_answer_is_bounded(width: int) -> None:
+@pytest.mark.parametrize(
+    ("width", "problems"), [(2, 20), *(pytest.param(width, 40, marks=pytest.mark.slow) for width in (1, 2))]
+)
+def test_what_an_error_of_the_slip_origin_makes_of_the_answer_is_bounded(width: int, problems: int) -> None:
     """|d|_W <= sum (mu_i n_i + t_i) |delta_i| / (1 - kappa), as docs/formulation.md says; a tenth bounds nothing."""
     rng, m, parts = np.random.default_rng(5), 3, []
-    for _ in range(40):
+    for _ in range(problems):
         n = (1 + width) * m + 2
         A = rng.normal(size=(n, n))
         rows = rng.normal(size=(m, 1 + width, n))
@@ -33,5 +35,5 @@ def test_what_an_error_of_the_slip_origin_makes_of_the_answer_is_bounded(width: 
         largest = 0.2 * np.sqrt(own[:, 0, 0]) + np.sqrt(np.linalg.eigvalsh(own[:, 1:, 1:])[:, -1])
         moved = one.displacement - other.displacement  # whose energy norm is |d|_W
         parts.append(float(np.sqrt(moved @ K @ moved) * (1 - kappa) / (largest @ np.linalg.norm(delta, axis=1))))
-    assert len(parts) >= 10
+    assert len(parts) >= problems // 4
     assert 0.1 < max(parts) <= 1

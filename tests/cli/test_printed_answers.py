@@ -22,17 +22,17 @@ def test_run_prints_the_answer_and_what_was_expected(capsys):
 
 
 def test_run_takes_a_folder_and_prints_a_line_for_each_case(capsys, tmp_path):
-    for name in ("two_bars", "bar_wall", "truss_floor"):
+    for name in ("two_bars", "bar_wall"):
         shutil.copy(CASES / f"{name}.toml", tmp_path)
     code, out, _ = run(capsys, "run", tmp_path)
     assert code == 0
     *cases, last = out.splitlines()
-    assert [line.split()[0] for line in cases] == ["bar_wall", "truss_floor", "two_bars"]
+    assert [line.split()[0] for line in cases] == ["bar_wall", "two_bars"]
     assert all(re.search(r" passed, proven; (\d+) of \1 met$", line) for line in cases)
-    assert last == "3 of 3 met (--verbose prints the answers)"
+    assert last == "2 of 2 met (--verbose prints the answers)"
     code, out, _ = run(capsys, "run", tmp_path, "--verbose")
     assert code == 0
-    assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall", "A truss over a"))
+    assert all(title in out for title in ("Two bars that meet", "A bar and a rigid wall"))
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def nodal_forces(surface):
     return total[surface.nodes]
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 @pytest.mark.parametrize("uneven", [False, True])
 def test_a_constant_pressure_is_exact_at_every_node(model, kind, uneven):

@@ -195,6 +195,7 @@ def test_structures_that_do_not_fit_are_refused():
         structure.assemble().problem([cq.pair([[0.0, 0.0], [1.0, 0.0]], FLOOR)])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("height", "fits"), [(0.3, True), (0.1 + 0.2, True), (0.3 + 1e-9, False)])
 def test_supported_nodes_that_touch_by_the_rounding_of_coordinates_do_not_overlap(height: float, fits: bool) -> None:
     mesh = cq.rectangle(1.0, 0.5, (4, 2), "quad4", corner=(0.0, 0.3))

@@ -15,7 +15,7 @@ SMALL = 900
 ROUNDING = 1e-11
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("name", SURVEY)
 def test_a_published_file_says_what_the_survey_found(name):
     survey, file = SURVEY[name], published(name)
@@ -72,7 +72,7 @@ def test_stored_solutions_are_zero_and_guesses_are_not_believed(name):
     assert not cq.certify_local(local, guess.force).passed
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("name", SURVEY)
 def test_a_published_problem_survives_writing(name, tmp_path):
     stored = cq.read_problem(published(name), as_stored=True)

@@ -17,6 +17,7 @@ def unit_compliances(rows: np.ndarray) -> np.ndarray:
     return rows @ rows.T
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("many", [5, 40, 200])
 def test_an_inverse_that_is_updated_leads_to_the_same_forces(many: int, monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(7)

@@ -359,6 +359,7 @@ def test_an_order_of_elimination_is_found_once_and_its_pivots_round_little(monke
     assert np.max(abs(matrix @ second.solve_all(right) - right)) <= 1e-13 * np.max(abs(second.solve_all(right)))
 
 
+@pytest.mark.slow
 @needs_pardiso
 def test_minimum_degree_orders_plane_stiffnesses_alone(monkeypatch):
     """Saddle points of programs, and rows that touch everything, may take it minutes."""
@@ -379,6 +380,7 @@ def test_minimum_degree_orders_plane_stiffnesses_alone(monkeypatch):
     assert asked == [pardiso.MINIMUM_DEGREE, pardiso.NESTED_DISSECTION, pardiso.NESTED_DISSECTION]
 
 
+@pytest.mark.slow
 @needs_pardiso
 def test_an_order_that_would_fill_in_is_found_anew():
     n, matrix = strip_with_rows(16, 1)

@@ -55,6 +55,7 @@ def test_ties_that_conflict_by_little_are_a_conflict(method: str, part: float) -
     assert_conflict(problem, caught.value.proof)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", METHODS)
 def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     ties = dict(tie=[[1.0, 0.0], [1.0, 0.0]], tie_value=[0.3, 0.1 + 0.2])
@@ -64,7 +65,7 @@ def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
     rng = np.random.default_rng(seed)

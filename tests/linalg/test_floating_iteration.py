@@ -32,7 +32,7 @@ def _pressed(body, weight, tilt):
     return force
 
 
-def free_block(cells=(14, 14, 7), size=(1.0, 1.0, 0.5), modulus=1.0, weight=0.02, tilt=0.3, below=0.0, held=()):
+def free_block(cells=(11, 11, 6), size=(1.0, 1.0, 0.5), modulus=1.0, weight=0.02, tilt=0.3, below=0.0, held=()):
     """A block pressed on a paraboloid, with nothing else that holds it, or two planes of symmetry."""
     body = _block("block", cells, size, modulus=modulus)
     structure = Structure([body])

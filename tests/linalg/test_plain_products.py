@@ -18,6 +18,7 @@ from contactqp.linalg.pardiso import products
 needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("unit", [1.0, 1e-20, 3e15])
 def test_residuals_are_those_of_rationals(unit: float) -> None:
     rng = np.random.default_rng(3)

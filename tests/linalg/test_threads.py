@@ -68,6 +68,7 @@ def test_paths_of_one_body_in_threads():
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15 * expected.max())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("ask", ["solve", "certify", "follow_path", "impact"])
 def test_dense_systems_of_contacts_have_one_thread_on_a_small_body_too(ask: str, monkeypatch) -> None:
     """On a membrane of 737 unknowns with 217 contacts two threads of BLAS spun; the body was thought too small."""

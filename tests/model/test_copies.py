@@ -96,7 +96,7 @@ def test_a_missing_backend_keeps_the_name_that_an_import_error_has() -> None:
     assert (again.name, again.msg) == ("it", "pip install it")
 
 
-@pytest.mark.sampled(14)
+@pytest.mark.sampled(28)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", ["bars", "rubbing", "tied", "part", "summed", "tie left out", "floating"])
 def test_the_verdict_on_a_copy_is_the_same_to_the_last_bit(name: str, way: str) -> None:

@@ -121,7 +121,7 @@ def test_no_method_and_no_certificate_lets_an_error_of_floating_point_out(name: 
             assert np.array_equal(found.normal_force, expected.normal_force)
 
 
-@pytest.mark.sampled(14)
+@pytest.mark.sampled(28)
 @pytest.mark.parametrize("size", [1e-300, 1.0, 1e250])
 @pytest.mark.parametrize("name", FAMILY)
 def test_wrong_answers_are_explained_as_usual(name: str, size: float) -> None:

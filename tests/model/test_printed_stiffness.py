@@ -57,7 +57,7 @@ def test_printed_blocks_answer_as_the_unprinted_to_the_printed_digits(seed: int,
     assert any("printed digits" in note for note in found.certificate.notes)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("digits", [6, 8, 10, 12])
 @pytest.mark.parametrize("sides", [(4, 3), (3, 2, 2)])
 def test_turns_of_regular_lattices_are_recognised_with_the_zeros_of_their_stiffness(
@@ -104,6 +104,7 @@ def test_so_is_a_body_of_more_equations_than_singular_values_take(sides: tuple[i
     assert null_space(found.stiffness).count == len(sides) * (len(sides) + 1) // 2
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_spring_of_a_hundred_roundings_is_no_rounding(seed: int) -> None:
     assert clear_of_printing(sp.csr_array(lattice(seed, (2, 2, 2), held=1e-4)), None) is None

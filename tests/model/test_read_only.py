@@ -96,7 +96,7 @@ HOLDERS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.mark.sampled(22)
+@pytest.mark.sampled(44)
 @pytest.mark.parametrize("kind", HOLDERS)
 @pytest.mark.parametrize("way", ["made", "copied", "deeply copied", "pickled"])
 def test_no_array_can_be_written(kind: str, way: str) -> None:

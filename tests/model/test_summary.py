@@ -220,6 +220,7 @@ def test_a_history_of_one_solution_prints_as_the_solution() -> None:
     assert "legs" not in str(history)
 
 
+@pytest.mark.slow
 def test_a_history_with_friction_prints_its_states_its_friction_and_its_events_together() -> None:
     lines = str(sled()).splitlines()
     assert lines[0] == "9 instants; 31 events"
@@ -234,6 +235,7 @@ def test_a_history_with_friction_prints_its_states_its_friction_and_its_events_t
     assert len(lines) <= 40
 
 
+@pytest.mark.slow
 def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_not_passed_off_as_all() -> None:
     """Pressed hardest at the 20th of 30 steps, which no even choice of twelve has."""
     peak = [*np.linspace(0.0, 1.0, 21)[1:], *np.linspace(1.0, 0.5, 11)[1:]]

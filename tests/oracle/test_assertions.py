@@ -28,7 +28,7 @@ def parts(known: GalleryProblem) -> dict[str, Any]:
     )
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("known", EVERY)
 def test_exact_answers_pass(known: GalleryProblem) -> None:
     given = parts(known)
@@ -40,13 +40,13 @@ def test_exact_answers_pass(known: GalleryProblem) -> None:
     assert_multipliers(known, **negative, compression="negative")
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("known", [known for known in EVERY if not known.problem.frictional])
 def test_exact_forces_pass_beside_a_solution(known: GalleryProblem) -> None:
     assert_multipliers(known.problem, known.normal_force, tie_force=known.tie_force)
 
 
-@pytest.mark.sampled(20)
+@pytest.mark.sampled(40)
 @pytest.mark.parametrize("known", [known for known in EVERY if any(known.exact.normal_force)])
 def test_the_opposite_sign_fails(known: GalleryProblem) -> None:
     # Where other answers are not excluded, another one may be meant.
@@ -69,7 +69,7 @@ def test_friction_along_the_slip_fails(known: GalleryProblem) -> None:
         assert_multipliers(known, known.normal_force, given["friction_force"])
 
 
-@pytest.mark.sampled(13)
+@pytest.mark.sampled(26)
 @pytest.mark.parametrize("known", EVERY)
 def test_a_moved_displacement_fails(known: GalleryProblem) -> None:
     given = parts(known)

@@ -138,6 +138,7 @@ def test_units_are_words(tmp_path: pathlib.Path) -> None:
         cq.crosscheck(deck, wrong, units={"length": "N", "force": "mm"})
 
 
+@pytest.mark.slow
 def test_a_pair_without_force_is_told(tmp_path: pathlib.Path) -> None:
     found = judged(tmp_path, change=lambda u: np.repeat([0.0, -0.02], len(u) // 2))
     assert found.word == "wrong"
@@ -165,6 +166,7 @@ def test_other_loads_are_out_of_balance_and_cut_numbers_are_named(tmp_path: path
     assert len(cq.crosscheck(whole, results).findings) == 1
 
 
+@pytest.mark.slow
 def test_supports_that_moved_are_told(tmp_path: pathlib.Path) -> None:
     deck = write(tmp_path, STACK)
     other = write(tmp_path, STACK.replace("-0.02", "-0.021"), "other.inp")
@@ -279,6 +281,7 @@ def test_calculix_is_run_and_judged(tmp_path: pathlib.Path) -> None:
     assert (tmp_path / "stiff.ccx" / "job.log").is_file()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("element", ["quad4", "quad8"])
 def test_pressures_on_the_axis_of_round_blocks_are_those_beside_it(tmp_path: pathlib.Path, element: str) -> None:
     """Under the corner of a quadratic side on the axis is no area: its force over that was drawn as no pressure."""
@@ -337,7 +340,7 @@ def test_pairs_of_two_types_are_refused_before_calculix_ends_at_them(tmp_path: p
         cq.crosscheck(deck)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("size", [1e3, 1e15, 1e40, 1e59])
 def test_one_displacement_far_away_is_wrong(tmp_path: pathlib.Path, size: float) -> None:
     def change(u: np.ndarray) -> np.ndarray:
@@ -352,6 +355,7 @@ def test_displacements_that_diverged_are_refused(tmp_path: pathlib.Path) -> None
         judged(tmp_path, change=lambda u: np.where(np.arange(len(u)) == len(u) - 1, 1e308, u))
 
 
+@pytest.mark.slow
 def test_a_pair_of_which_no_node_is_above_a_face_is_judged(tmp_path: pathlib.Path) -> None:
     """The upper cubes stand five lengths beside the lower one: no contact is found, and no force is right."""
     beside = re.sub(r"(?m)^(1[1-8]), ([01])\.", r"\1, 5\2.", STACK)

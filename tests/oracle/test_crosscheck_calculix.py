@@ -47,6 +47,7 @@ def test_faces_on_springs_have_the_forces_of_springs_at_integration_points(
     assert abs(nodes / verdict.pairs[0].resultant - 1) > 1.1 * verdict.pairs[0].error
 
 
+@pytest.mark.slow
 def test_a_mortar_is_right_where_its_master_reaches_further(tmp_path: pathlib.Path) -> None:
     found = cq.crosscheck(write(tmp_path, two_blocks("hex8", "MORTAR", STIFF["MORTAR"])))
     assert found.passed, found.summary()
@@ -120,6 +121,7 @@ def test_plane_and_axisymmetric_decks_are_right(tmp_path: pathlib.Path, model: s
     assert found.passed, found.summary()
 
 
+@pytest.mark.slow
 def test_a_tie_moves_as_in_calculix(tmp_path: pathlib.Path) -> None:
     text = two_blocks("hex8", NODES, STIFF[NODES])
     text = text.replace(
@@ -159,6 +161,7 @@ def test_the_guide_prints_what_is_printed(tmp_path: pathlib.Path, monkeypatch: p
         assert f"squares.inp: WRONG{shown}".rstrip() in found
 
 
+@pytest.mark.slow
 def test_a_slave_that_is_held_has_the_forces_of_its_master(tmp_path: pathlib.Path) -> None:
     held = STACK.replace("BOTTOM, 1, 3", "BOTTOM, 1, 3\n5, 1, 3\n6, 1, 3\n7, 1, 3\n8, 1, 3")
     text = held.replace("ABOVE, BELOW", "BELOW, ABOVE").replace("1e4\n", "1e8, 1e-6\n")

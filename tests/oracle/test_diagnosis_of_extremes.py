@@ -38,7 +38,7 @@ def findings(length: float, force: float, factors: tuple[float, float]) -> list[
     return [finding.kind for finding in judged.findings]
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("cause", CAUSES)
 @pytest.mark.parametrize("powers", [(0, 560), (0, -560), (300, 300), (-300, 300), (-300, -300)])
 def test_a_cause_is_named_in_any_units(cause: str, powers: tuple[int, int]) -> None:

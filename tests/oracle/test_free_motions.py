@@ -18,6 +18,7 @@ from contactqp.scene.building import build
 CASES = pathlib.Path(__file__).parents[2] / "cases"
 
 
+@pytest.mark.slow
 def test_bodies_whose_floats_are_indefinite_are_enclosed_as_local_minima() -> None:
     """Blocks patched together: 50 unknowns, small enough for rationals, but rounding has made K indefinite."""
     scene = cq.load_scene(CASES / "patch_two_blocks.toml")

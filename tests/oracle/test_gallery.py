@@ -82,6 +82,7 @@ def test_a_changed_answer_breaks_a_condition(known: GalleryProblem) -> None:
         )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("known", problems("frictional", count=9))
 def test_friction_along_the_slip_breaks_a_condition(known: GalleryProblem) -> None:
     answer = known.exact

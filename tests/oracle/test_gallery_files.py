@@ -197,6 +197,7 @@ def test_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_test_set_of_qpbenchmark_has_the_parts_it_asks_for(test_set: Path) -> None:
     """A class named as its file in a script, problems in data/, room for results/."""
     assert {path.name for path in test_set.iterdir()} == {

@@ -134,6 +134,7 @@ def test_a_block_too_heavy_for_its_walls_that_are_apart() -> None:
         cq.exact(block)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("taken", [1.0, 0.0, -2.0])
 def test_every_share_of_a_force_between_contacts_and_a_tie_is_right(taken: float) -> None:
     """Two stops and the tie u1 + u2 = 0 hold a node at 0: l_1 + nu = 3, l_2 + nu = 1, so any nu up to 1 is right."""

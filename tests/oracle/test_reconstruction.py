@@ -15,6 +15,7 @@ from contactqp.oracle.exact.refinement import Fixed, refine
 from contactqp.testing import problem as gallery
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["large-1", "large-5"])
 def test_membranes_that_graze_are_decided_in_fractions(name: str) -> None:

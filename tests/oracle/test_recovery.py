@@ -27,7 +27,7 @@ def _certified(name: str, seeds: range) -> Iterator[tuple[cq.ContactProblem, dic
             yield problem, {"displacement": solution.displacement, "normal_force": solution.normal_force}
 
 
-@pytest.mark.sampled(38)
+@pytest.mark.sampled(76)
 @pytest.mark.parametrize("seeds", SEEDS, ids=["one", "more"])
 @pytest.mark.parametrize("name", WELL_POSED)
 def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, seeds: range) -> None:
@@ -80,7 +80,7 @@ def test_the_force_of_a_stiff_beam_is_recovered_from_its_displacement() -> None:
     assert judged.answer.normal_force[0] == pytest.approx(CANTILEVER_FORCE, rel=1e-6)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("seed", range(12))
 def test_frictional_answers_from_displacements(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -123,6 +123,7 @@ def _slider(origin: float) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_forces_alone_put_a_floating_body_where_it_sticks() -> None:
     """Closing contacts says nothing of where a body lies along them: their stick and the way of their slip do."""
     judged = cq.certify(_slider(0.5), normal_force=[4.0, 4.0], friction_force=[1.0, 2.0])

@@ -183,6 +183,7 @@ def test_plane_strain_has_the_stress_across_the_plane():
     np.testing.assert_allclose(body.von_mises, PRESSURE * shape, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_deck_has_the_fields_of_its_bodies(tmp_path):
     steel = "*SOLID SECTION, ELSET=SOLID, MATERIAL=STEEL\n"
     two = STACK.replace(steel, "*ELSET, ELSET=A\n1\n*ELSET, ELSET=B\n2\n" + steel.replace("SOLID,", "A,")
@@ -215,6 +216,7 @@ def test_nodes_of_several_parts_of_a_deck_bear_their_load_once(tmp_path):
     assert sum(body.load[:, 2].sum() for body in fields.bodies) == -8.0
 
 
+@pytest.mark.slow
 def test_friction_of_a_deck_acts_on_its_slave_nodes(tmp_path):
     text = two_blocks("hex8", "NODE TO SURFACE", "LINEAR\n1e8, 1e-6", push=5e-4, friction="0.3, 1e7")
     deck = cq.read_deck(write(tmp_path, text))

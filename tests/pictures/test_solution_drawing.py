@@ -112,11 +112,11 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(tmp_path) -> None:
 
 
 def test_load_cases_are_curves_over_their_numbers(tmp_path) -> None:
-    problem, phases = chain(6, friction=0.3), np.linspace(0, 3, 20)
+    problem, phases = chain(6, friction=0.3), np.linspace(0, 3, 8)
     many = cq.solve_many(problem, loads=[8 * np.sin(np.arange(12) / 3 + x) * np.sin(x) for x in phases])
     figure = many.plot(tmp_path / "cases.png", title="a chain")
     assert (tmp_path / "cases.png").read_bytes().startswith(b"\x89PNG")
-    assert figure.get_suptitle() == "a chain\n20 load cases, 20 passed"
+    assert figure.get_suptitle() == "a chain\n8 load cases, 8 passed"
     assert [axes.get_ylabel() for axes in figure.axes] == ["gap\n[mm]", "normal force\n[kN]", "friction force\n[kN]"]
     curves = {line.get_gid(): line.get_ydata() for line in panel(figure, "normal force").get_lines()}
     assert len(curves) == 6  # five contacts, and all together

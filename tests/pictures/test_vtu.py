@@ -63,7 +63,7 @@ def test_the_name_of_the_status_is_its_legend():
     assert STATUS_FIELD == "contact_status (-1 none, 0 open, 1 grazing, 2 closed, 3 stick, 4 slip, 5 held)"
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("kind", [*PLANE, *SOLID])
 def test_every_kind_of_element_comes_back(kind, tmp_path):
     fields = unloaded(kind) if kind in SOLID else block(kind).fields

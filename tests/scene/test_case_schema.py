@@ -64,7 +64,7 @@ def test_an_editor_marks_what_the_reader_refuses(validator: Any, path: tuple[Any
         cq.Scene(**data)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "area",
     [

@@ -81,7 +81,7 @@ def apart(folder: pathlib.Path, text: str) -> float:
     return float(abs(ours - theirs).max() / abs(theirs).max())
 
 
-@pytest.mark.sampled(14)
+@pytest.mark.sampled(28)
 @needs_calculix
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.startswith("CAX")])
 def test_elements_are_those_of_calculix(tmp_path: pathlib.Path, kind: str) -> None:

@@ -237,7 +237,7 @@ def folder(tmp_path: pathlib.Path) -> pathlib.Path:
     return tmp_path
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(36)
 @pytest.mark.parametrize("name", SOLVED)
 def test_a_deck_has_its_answer(folder: pathlib.Path, name: str) -> None:
     stated = SOLVED[name]

@@ -43,6 +43,7 @@ def test_coefficients_of_friction_and_bodies(tmp_path):
     assert block.solutions.normal_force[0] == pytest.approx(alone.normal_force, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("text", "case", "message"),
     [

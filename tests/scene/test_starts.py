@@ -227,7 +227,7 @@ def test_of_bare_points_nothing_is_known_that_could_be_doubted() -> None:
     assert doubts_of(lambda: cq.pair([[0.0, -5.0]], cq.Plane(point=[0.0, 0.0], normal=[0.0, 1.0]))) == []
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.sampled(30)
 @pytest.mark.parametrize("case", sorted(SCENES))
 def test_no_case_that_comes_with_the_package_is_doubted(case: str) -> None:
     assert doubts_of(SCENES[case].problem) == []
@@ -285,6 +285,7 @@ UNPUSHED = "it starts 0.003 m inside 'stop' and ends outside, and nothing has pu
 BY_STEPS = dict(path={"steps": 2})
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("height", "normal", "load", "more", "doubt"),
     [

@@ -55,6 +55,7 @@ def test_a_soft_support_is_a_support(springs: int, softness: float) -> None:
     assert null_space(K).count == 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("stiffness", [(1e6, 1e-6, 1e6), (1e-6, 1e6, 1e-6), (1.0, 1e9, 1e-3, 1e6, 1e-9, 1.0)])
 def test_stacks_of_loose_bodies_with_far_apart_stiffness(stiffness: tuple[float, ...]) -> None:
     """Each block of two masses and a spring rests on the one before: forces 2, 4, ... from the top."""
@@ -242,7 +243,7 @@ def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None
     assert len(found.free_motions) == 1
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("rows", [(1.0, 1.0), (2.0**23, 2.0**-7), (2.0**-30, 2.0**30)])
 @pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
 def test_nothing_but_gaps_moves_what_has_no_stiffness_whatever_the_units_of_rows(
@@ -255,7 +256,7 @@ def test_nothing_but_gaps_moves_what_has_no_stiffness_whatever_the_units_of_rows
     assert np.max(abs(solution.normal_force)) <= 1e-12
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("force", [2.0**-80, 2.0**-40, 1.0, 2.0**60])
 @pytest.mark.parametrize("length", [1.0, 2.0**-30])
 def test_loads_on_what_has_no_stiffness_beside_a_body_that_nothing_touches(force: float, length: float) -> None:
@@ -275,6 +276,7 @@ def test_loads_on_what_has_no_stiffness_beside_a_body_that_nothing_touches(force
     np.testing.assert_allclose(solution.friction_force / force, [[-0.0859375]], rtol=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("method", ["active-set", "clarabel", "lemke", "lagrange-multiplier"])
 def test_a_chain_that_loads_squeeze_is_pushed_out_of_a_stop_without_force(method: str) -> None:
     """Nothing is left of the loads where the stop is: what rounding leaves of them was measured by itself.

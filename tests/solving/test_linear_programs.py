@@ -29,7 +29,7 @@ def least_cost(problem: cq.ContactProblem) -> float:
     return float(found.fun)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     problem = transport(seed)
@@ -45,7 +45,7 @@ def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     assert upper - lower <= 1e-9 * least
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_feasible_answer_that_costs_more_is_refused(seed: int) -> None:
     """Moved along a cycle of four, everything stays met, and the multipliers are those of the truth."""
@@ -109,7 +109,7 @@ def few_quadratic_terms(seed: int, size: int = 150) -> tuple[cq.ContactProblem, 
     return cq.ContactProblem.from_qp(**arrays), float(0.5 * x @ (P * x) + q @ x)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) -> None:
     """Multipliers that press against each other, and forces of 1e-17 that nothing carries, took the digits of it."""
@@ -123,6 +123,7 @@ def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) 
     assert lower - 1e-9 * size <= least <= upper + 1e-9 * size
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(3))
 def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> None:
     """Units of unknowns and rows of 2^-24 to 2^24, which maxima of rows do not undo; nothing is rounded."""
@@ -173,6 +174,7 @@ def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: fl
     assert cq.solve(program.replace(load=-balanced * units)).certificate.passed
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: int) -> None:
     """Circulations within 1e5: in lengths of 1e-6 their few stiff arcs yielded as if they had no stiffness."""

@@ -204,6 +204,7 @@ def spheres(contacts: int = 40) -> cq.LocalProblem:
     return cq.LocalProblem(delassus=H @ H.T, offset=random.standard_normal(3 * contacts), friction=0.5, dimension=3)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("algorithm", [None, "newton", "nsgs", "ppa", "admm", "aclm"])
 def test_a_local_problem_out_of_time_says_so_and_has_its_best_answer_judged(algorithm: str | None) -> None:
     problem = spheres()

@@ -75,6 +75,7 @@ def test_a_solution_of_bodies_is_drawn_on_them_also_under_another_load() -> None
     assert any("load, in all -0.0001 and 0 MN" in text.get_text() for text in loaded.legends[0].get_texts())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("factor", "said"), [(1.0, "0 and -2 MN"), (1.5, "0 and -3 MN"), (0.0, "")])
 def test_the_load_of_bodies_is_told_with_what_acts_on_supports(factor: float, said: str) -> None:
     block = cq.Body(cq.rectangle(1.0, 0.5, (4, 2)), cq.Material(1.0, 0.3), "plane-strain", name="block")

@@ -98,6 +98,7 @@ def test_a_candidate_with_a_fault_is_exit_2(capsys, folder, name):
     assert err.count("\n") == 1
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("text", "words"),
     [  # forces that would be left out, without which the answer is right

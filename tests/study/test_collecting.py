@@ -55,6 +55,7 @@ def test_nothing_elastic_has_no_limit() -> None:
     assert linear_solve_seconds(masses) is None
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("size", [3, 600, 2100])
 def test_every_sparse_solver_solves_and_is_timed(size: int) -> None:
     from scipy.sparse import diags

@@ -114,6 +114,7 @@ def test_columns_by_axis_as_other_codes_call_them(capsys, text):
         assert code == 0, columns
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "name", ["displacement [mm]", "displacement (mm)", "displacement/mm", "displacement_mm", "u [m]"]
 )

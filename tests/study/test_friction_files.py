@@ -172,6 +172,7 @@ def test_bodies_that_only_contact_holds_are_solved_as_bodies(capsys, tmp_path):
     assert data["certificate"]["equilibrium"] < 1e-12
 
 
+@pytest.mark.sampled(2)
 @needs_data
 @pytest.mark.parametrize(
     "name", ["Rover1039.dat", "CubeH8.hdf5", "GFC3D_TwoRods1.dat", "LMGC_GlobalFrictionContactProblem00046.hdf5"]

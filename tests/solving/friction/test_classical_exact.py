@@ -105,7 +105,7 @@ def test_pad_on_an_incline(name: str, sign: float) -> None:
     assert refused.value.history
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", EXACT)
 def test_mirrored_tangents_mirror_the_friction(name: str) -> None:
     one = solved(name, rough_truss())

@@ -133,7 +133,7 @@ def test_perturbed_lagrangian_is_penalty_in_exact_arithmetic() -> None:
             assert perturbed(kappa, sense, 1) != slipping_on_springs(kappa, sense)[2]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_perturbed_lagrangian_is_penalty(seed: int) -> None:
     problem = random_problem(np.random.default_rng(seed))

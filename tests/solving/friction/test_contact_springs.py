@@ -28,7 +28,7 @@ def require_same(one: cq.Solution, other: cq.Solution, tolerance: float) -> None
         np.testing.assert_allclose(there, here, 0, atol=tolerance * size, err_msg=part)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("algorithm", ["tresca", "enumeration"])
 @pytest.mark.parametrize("beta", [1e3, 1e5, 1e6])
 @pytest.mark.parametrize(("friction", "origin"), [(0.3, TOUCH), (0.3, 2e-3), (0.8, TOUCH), (5.0, 0.0)])

@@ -34,7 +34,7 @@ STATES = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("algorithm", [None, "tresca", "enumeration"])
 @pytest.mark.parametrize("name", STATES)
 def test_truss_on_a_rough_floor(name: str, algorithm: str | None) -> None:
@@ -85,7 +85,7 @@ PULLS = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("algorithm", ["tresca", "enumeration"])
 @pytest.mark.parametrize("name", PULLS)
 def test_two_masses_on_a_rough_floor(name: str, algorithm: str) -> None:

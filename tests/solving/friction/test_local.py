@@ -224,7 +224,7 @@ def test_in_the_plane_every_quadratic_programming_method_takes_the_steps(method:
     assert solution.method == f"{called}, each step by {method}"
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("method", ["clarabel", "scs", "cvxpy"])
 def test_in_space_cones_are_cones(method: str) -> None:
     if not next(m for m in cq.methods() if m.name == method).installed:
@@ -457,7 +457,7 @@ def _wedged(offset: float) -> cq.LocalProblem:
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("unit", [1.0, 2.0**20, 1e-3])
 def test_that_no_forces_open_all_contacts_is_proven_in_space(unit: float) -> None:
     """Weights of normal velocities that no force changes are positive, where offsets make their sum negative."""

@@ -28,7 +28,7 @@ def off(solution: cq.Solution, known: Known) -> float:
     return max(float(np.max(abs(a - b)) / np.max(abs(b))) for a, b in pairs)
 
 
-@pytest.mark.sampled(30)
+@pytest.mark.sampled(60)
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("angle", ANGLES)
 def test_a_block_sticks_below_its_bound_and_slides_along_the_push_beyond(way: str, angle: float) -> None:
@@ -131,7 +131,7 @@ def test_frames_and_scales_of_contacts_mean_nothing(seed: int) -> None:
     np.testing.assert_allclose(solution.friction_force * factors[:, None], there, atol=1e-12)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("way", ["by itself", "nsgs", "admm", "aclm, clarabel", "tresca, clarabel"])
 def test_scales_of_unknowns_mean_nothing(seed: int, way: str) -> None:
@@ -149,6 +149,7 @@ def test_scales_of_unknowns_mean_nothing(seed: int, way: str) -> None:
     np.testing.assert_allclose(solution.friction_force, known.friction_force, atol=1e-9)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("length", [1e-6, 1e3])
 @pytest.mark.parametrize("force", [1e-9, 1e9])
 def test_units_mean_nothing(length: float, force: float) -> None:

@@ -105,6 +105,7 @@ def test_critical_coefficient_of_a_triangle() -> None:
             assert state.certificate.uniqueness == ((SEVERAL,) if several else ())
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("poisson", "expected"), [(0.3, 1.8), (0.45, 1.2), (0.49, 1.04)])
 @pytest.mark.parametrize("s", [0.5, 1.0, 1.7])
 def test_critical_coefficient_of_a_triangle_of_elements(poisson: float, expected: float, s: float) -> None:

@@ -21,6 +21,7 @@ def falling_stack(heavy: float, floor: float) -> cq.ContactProblem:
     return cq.ContactProblem(np.diag(mass), -mass, rows, gap)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("exponent", [33, 40, 44, 47, 50])
 def test_a_heavy_mass_on_light_ones_is_stopped(exponent: int) -> None:
     """All fall at 1/4 afterwards; the impulse between two of them is 3/4 of the mass above."""

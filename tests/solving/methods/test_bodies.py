@@ -59,7 +59,7 @@ def test_the_reference_is_proven_and_not_trivial(dimension):
     assert reference.work.retained < problem.dimension, "the methods see the condensed problem"
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", EXACT)
 def test_every_exact_method_gives_the_one_answer(method, dimension):
@@ -70,7 +70,7 @@ def test_every_exact_method_gives_the_one_answer(method, dimension):
     assert np.abs(solution.displacement - REFERENCES[dimension].displacement).max() < 1e-9 * scale
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("method", RAW)
 def test_a_raw_answer_is_near_or_its_certificate_says_that_it_is_not(method, dimension):

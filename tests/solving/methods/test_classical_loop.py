@@ -44,7 +44,7 @@ GRAZING = (
 )
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("problem_of", [lambda p: p, sparse], ids=["dense", "sparse"])
 @pytest.mark.parametrize("name", [*EXACT, *PENALISED])
 def test_bodies_that_nothing_holds_are_no_garbage(name: str, problem_of: object) -> None:
@@ -54,6 +54,7 @@ def test_bodies_that_nothing_holds_are_no_garbage(name: str, problem_of: object)
         answer(name, problem) if name in EXACT else penalised(name, problem, 1.0)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", EXACT)
 def test_floating_chain_of_two_bodies(name: str) -> None:
     # Two bodies joined by a spring of 1, the right one pushed against a wall: nothing else holds them.
@@ -80,7 +81,7 @@ def test_ties_that_follow_from_others_with_weights_of_zero_do_not_contradict_the
     np.testing.assert_allclose(found.displacement, np.linalg.pinv(tied.tie.toarray()) @ tied.tie_value, atol=1e-14)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("example", SUPPORTED, ids=lambda example: example.name)
 # A beta of 10 beside a stiffness of 1e-7 takes eight digits of it.
 @pytest.mark.parametrize("name", [name for name in EXACT if name != "augmented, 10"])
@@ -108,6 +109,7 @@ def test_contact_in_tension_goes_out(name: str) -> None:
     require_answer(Example("lever", lever, (ratio(5, 6), 1.0), (0.0, ratio(5, 3))), candidate, 1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", EXACT)
 def test_a_cycle_is_left_one_contact_at_a_time(name: str) -> None:
     candidate = answer(name, CYCLING)
@@ -118,7 +120,7 @@ def test_a_cycle_is_left_one_contact_at_a_time(name: str) -> None:
     assert np.all(candidate.normal_force >= 0)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("problem", GRAZING)
 @pytest.mark.parametrize("name", EXACT)
 def test_grazing_contacts_are_no_cycle(name: str, problem: ContactProblem) -> None:
@@ -145,6 +147,7 @@ def test_dependent_rows_bind_where_they_are_violated() -> None:
     require_near("forces", candidate.normal_force, [0.0, 110.625], 1e-13)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("form", [np.asarray, sp.csc_array], ids=["dense", "sparse"])
 def test_unsymmetric_systems_are_singular_or_not_whatever_their_units(form: object) -> None:
     """Rows and columns scaled apart by 1e-9 to 1e9: one is regular, its twin has a row that is twice another."""

@@ -162,7 +162,7 @@ def test_each_axis_breaks_some_method() -> None:
     assert {axis for axis, *_ in BREAKS} == {axis.name for axis in AXES}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize(("axis", "value", "method", "verdict"), BREAKS)
 def test_methods_break_and_the_row_says_so(axis: str, value: float, method: str, verdict: str) -> None:
     row = stability_row(axis, value, method)

@@ -28,7 +28,7 @@ from contactqp.study.stability.stability_charts import best_penalty_of_truss
 from contactqp.study.stability.stability_report import safe_ranges
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("axis", AXES, ids=lambda axis: axis.name)
 def test_every_value_has_a_problem_and_the_same_one_every_time(axis) -> None:
     values = axis.values if not axis.name.endswith("contacts") else axis.values[:3]
