@@ -38,8 +38,9 @@ from contactqp.errors import (
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.existence import refuse_driven_motion
 from contactqp.linalg.iteration import contacts_are_many, iterated
-from contactqp.model.arrays import Mask, Vector, one_blas_thread, refuse_late
+from contactqp.model.arrays import Indices, Mask, Vector, one_blas_thread, refuse_late
 from contactqp.model.coulomb import STICK
+from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 from contactqp.solving.friction.force_system import ForceSystem
@@ -82,7 +83,7 @@ def follow_with_friction(
     times = [0.0]
 
     def history() -> History:
-        return History(steps, times, lambda: steps.changes(times), notes=lambda: step_notes(problem, steps, times))
+        return History(steps, times, lambda: steps.changes(times), notes=lambda: steps.notes(times))
 
     try:
         for leg, (start, end) in enumerate(pairwise(corners)):
@@ -181,6 +182,7 @@ class FrictionSteps(LazySolutions):
         self._stepper = _stepper(problem, method, options)
         self._leg = -1
         self._states: list[tuple[Mask, Mask]] = []
+        self._early: dict[int, Indices] = {}  # contacts by the number of the step
         nothing = np.zeros(problem.dimension)
         self._stepper.turn(nothing, nothing)
         origin = problem.slip_origin
@@ -225,6 +227,8 @@ class FrictionSteps(LazySolutions):
             refuse_driven_motion(problem, condense(problem).rigid)
 
     def _keep(self, state: State, anchors: Anchors) -> None:
+        if (early := np.flatnonzero(state.early & state.pushes)).size:
+            self._early[len(self)] = early
         self._before = state = self._stepper.accept(state)
         self._anchors = anchors
         self.append(state.step)
@@ -233,6 +237,16 @@ class FrictionSteps(LazySolutions):
     def changes(self, times: Sequence[float]) -> Iterator[Event]:
         """Return every change of contact state, at the first step that shows it."""
         return contact_changes(self._states, times, self._problem.contact_name)
+
+    def notes(self, times: Sequence[float]) -> Iterator[str]:
+        """Return the notes of steps: where contacts count as closed early, and those of `step_notes`."""
+        for i, contacts in self._early.items():
+            names = listed([self._problem.contact_name(int(k)) for k in contacts])
+            yield (
+                f"step to t = {times[i]:.12g}: no answer was found under the load at which contacts close ({names}); "
+                "they slip from where they were when the step began: compare with smaller steps"
+            )
+        yield from step_notes(self._problem, self, times)
 
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:

@@ -74,6 +74,7 @@ class State:
     cancelled: bool = False  # whether the positions have lost digits
     origin: Array | float = 0.0  # (m, d-1) where slips were counted from [length]
     still: Array | float = 0.0  # (m, d-1) the slips that are rounding [length]
+    early: Mask | bool = False  # (m,) counted as closed from the start of the step on, since where was not found
 
     @cached_property
     def settled(self) -> Array:
@@ -133,9 +134,7 @@ def step_to(
 ) -> State:
     """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
 
-    Where too many loads within the step have no answer that algorithms find, those that are left count as closed from
-    the start of the step on.
-
+    Where too many loads within it have no answer that algorithms find, the others are anchored `early`.
     Raises NoEquilibrium, SeveralEquilibria, NotConverged: of the solve at the end of the step, all contacts anchored.
 
     Parameters
@@ -147,10 +146,10 @@ def step_to(
     refuse : function of a fraction, raises NoEquilibrium where no contacts, wherever they slip from, hold its load
     """
     origin, anchored = anchors.position.copy(), anchors.anchored.copy()
-    low, attempt = before, _Attempts(solve)
+    low, attempt, early = before, _Attempts(solve), np.zeros_like(anchored)
     while True:
         if np.all(anchored):
-            return solve(fraction, origin, ~anchored)
+            return replace(solve(fraction, origin, ~anchored), early=early)
         high = attempt(fraction, origin=origin, held_open=~anchored)
         if high is not None and not np.any(high.overlap):
             return high
@@ -164,7 +163,7 @@ def step_to(
             low = touched
         if touched is None or attempt.failed >= MOST_FAILED:
             # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
-            anchored[:] = True
+            early, anchored = ~anchored & (attempt.failed >= MOST_FAILED), np.ones_like(anchored)
 
 
 def _first_touch(
@@ -205,10 +204,12 @@ def _secant(low: State, high: State) -> float:
 
 def _furthest(low: State, fraction: float, solve: Callable[[float], State | None]) -> tuple[State, State | None]:
     """Return a state without overlap, and one with it, between `low` and a fraction that has no equilibrium."""
-    beyond = fraction
-    for _ in range(HALVINGS):
-        at = (low.fraction + beyond) / 2
+    beyond, least = fraction, low.fraction + 2.0**-HALVINGS * (fraction - low.fraction)
+    for halvings in range(HALVINGS + 1):
+        at = (low.fraction + beyond) / 2 if halvings else least  # what the least load drives is driven by all
         here = solve(at)
+        if here is None and not halvings:
+            return low, None
         if here is None:
             beyond = at
         elif np.any(here.overlap):

@@ -151,8 +151,26 @@ def test_a_step_whose_algorithms_fail_gives_up_the_search_for_where_contacts_clo
     assert len(asked) == friction_step.MOST_FAILED + 1
     assert after.touching[0]
     np.testing.assert_array_equal(after.position, before.position)  # closed from the start of the step on
+    assert after.early.tolist() == [True]
+    assert not np.any(step_to(1.0, before, Anchors(before.position, np.array([False])), bent).early)
 
 
+def test_a_path_notes_the_contacts_that_slip_from_where_a_step_began(monkeypatch) -> None:
+    """A mass on two springs is pressed down and along; where it lands is not found if no load there is solved."""
+    problem = cq.ContactProblem(np.eye(2), [0.0, 0.0], [[0.0, -1.0]], [0.7], tangent=[[1.0, 0.0]], friction=0.5)
+    exact = cq.follow_path(problem, [[0.2, -1.0]], steps=2)
+    assert not any("compare with smaller steps" in note for note in exact.notes)
+    solve = friction_step.PlaneStepper.solve
+
+    def failing(stepper: object, fraction: float, origin: np.ndarray, held_open: np.ndarray) -> State:
+        return never() if fraction > 0.5 and np.any(held_open) else solve(stepper, fraction, origin, held_open)
+
+    monkeypatch.setattr(friction_step.PlaneStepper, "solve", failing)
+    history = cq.follow_path(problem, [[0.2, -1.0]], steps=2)
+    assert any("(contact 0); they slip from where they were when the step began" in note for note in history.notes)
+
+
+@pytest.mark.slow
 def test_a_load_that_tips_a_body_over_is_refused_before_contacts_are_searched_for(monkeypatch) -> None:
     """Which of its feet comes down first was searched for, at 30 loads and more, though at the end none holds it."""
     asked, solve = [], friction_step.PlaneStepper.solve
@@ -161,6 +179,7 @@ def test_a_load_that_tips_a_body_over_is_refused_before_contacts_are_searched_fo
     block = cq.ContactProblem(np.zeros((3, 3)), np.zeros(3), down, [0.0, 0.01, 1e-3], tangent=along, friction=0.5)
     history = cq.follow_path(block, [[0.2, -1.0, 0.9]], steps=1)
     np.testing.assert_allclose(history[-1].normal_force, [0.9, 0.0, 0.1], rtol=1e-9)
+    assert len(asked) <= 5  # what the least load drives all loads drive: that had been asked of thirty
     asked.clear()
     with pytest.raises(cq.NoEquilibrium, match="t = 1: the load drives") as tipped:
         cq.follow_path(block, [[0.2, -1.0, 1.1]], steps=1)
