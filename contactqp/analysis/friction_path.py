@@ -239,12 +239,12 @@ class FrictionSteps(LazySolutions):
         return contact_changes(self._states, times, self._problem.contact_name)
 
     def notes(self, times: Sequence[float]) -> Iterator[str]:
-        """Return the notes of steps: where contacts count as closed early, and those of `step_notes`."""
+        """Return the notes of steps: contacts whose anchors are guesses, and those of `step_notes`."""
         for i, contacts in self._early.items():
             names = listed([self._problem.contact_name(int(k)) for k in contacts])
             yield (
-                f"step to t = {times[i]:.12g}: no answer was found under the load at which contacts close ({names}); "
-                "they slip from where they were when the step began: compare with smaller steps"
+                f"step to t = {times[i]:.12g}: no answer was found under the load at which contacts close ({names}), "
+                "and where they slip from is a guess, at most a step away: compare with smaller steps"
             )
         yield from step_notes(self._problem, self, times)
 

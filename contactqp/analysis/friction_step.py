@@ -74,7 +74,7 @@ class State:
     cancelled: bool = False  # whether the positions have lost digits
     origin: Array | float = 0.0  # (m, d-1) where slips were counted from [length]
     still: Array | float = 0.0  # (m, d-1) the slips that are rounding [length]
-    early: Mask | bool = False  # (m,) counted as closed from the start of the step on, since where was not found
+    early: Mask | bool = False  # (m,) anchored by a guess, since no answer was found where they close
 
     @cached_property
     def settled(self) -> Array:
@@ -151,19 +151,19 @@ def step_to(
         if np.all(anchored):
             return replace(solve(fraction, origin, ~anchored), early=early)
         high = attempt(fraction, origin=origin, held_open=~anchored)
-        if high is not None and not np.any(high.overlap):
-            return high
         if high is None:
             refuse(fraction)
+        elif not np.any(high.overlap):
+            return replace(high, early=early)
         touched = _first_touch(low, high, fraction, partial(attempt, origin=origin, held_open=~anchored))
         if touched is not None:
             closing = ~anchored & (touched.touching | touched.overlap)
             origin[closing] = touched.settled[closing]
-            anchored |= closing
-            low = touched
+            anchored, early, low = anchored | closing, early | (closing & touched.early), touched
         if touched is None or attempt.failed >= MOST_FAILED:
             # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
-            early, anchored = ~anchored & (attempt.failed >= MOST_FAILED), np.ones_like(anchored)
+            early |= ~anchored & (attempt.failed >= MOST_FAILED)
+            anchored[:] = True
 
 
 def _first_touch(
@@ -183,14 +183,14 @@ def _first_touch(
             return high
         here = solve(at)
         if here is None:
-            return high
+            return replace(high, early=high.overlap)
         held = high.gap < 0
         if not np.any(here.overlap) and np.any(here.touching & held):
             return here
         over = bool(np.any(here.overlap))
         same_side = same_side + 1 if over == last_over else 0
         last_over, (low, high) = over, (low, here) if over else (here, high)
-    return high
+    return replace(high, early=high.overlap)
 
 
 def _secant(low: State, high: State) -> float:

@@ -155,7 +155,7 @@ def test_a_step_whose_algorithms_fail_gives_up_the_search_for_where_contacts_clo
     assert not np.any(step_to(1.0, before, Anchors(before.position, np.array([False])), bent).early)
 
 
-def test_a_path_notes_the_contacts_that_slip_from_where_a_step_began(monkeypatch) -> None:
+def test_a_path_notes_the_contacts_that_slip_from_a_guess(monkeypatch) -> None:
     """A mass on two springs is pressed down and along; where it lands is not found if no load there is solved."""
     problem = cq.ContactProblem(np.eye(2), [0.0, 0.0], [[0.0, -1.0]], [0.7], tangent=[[1.0, 0.0]], friction=0.5)
     exact = cq.follow_path(problem, [[0.2, -1.0]], steps=2)
@@ -167,7 +167,7 @@ def test_a_path_notes_the_contacts_that_slip_from_where_a_step_began(monkeypatch
 
     monkeypatch.setattr(friction_step.PlaneStepper, "solve", failing)
     history = cq.follow_path(problem, [[0.2, -1.0]], steps=2)
-    assert any("(contact 0); they slip from where they were when the step began" in note for note in history.notes)
+    assert any("(contact 0), and where they slip from is a guess" in note for note in history.notes)
 
 
 @pytest.mark.slow
