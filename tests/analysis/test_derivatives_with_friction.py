@@ -286,7 +286,7 @@ def at_borders_in_space(rng: np.random.Generator) -> cq.ContactProblem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("problems", "seed"), [(2, 6), *((4, seed) for seed in range(5))])
+@pytest.mark.parametrize(("problems", "seed"), [(2, 6), *((4, seed) for seed in range(4))])
 def test_rates_at_borders_in_space_are_differences_of_answers(problems: int, seed: int) -> None:
     rng, seen, two_sided, missing, step = np.random.default_rng(seed), 0, 0, 0, 2.0**-20
     for _ in range(problems):

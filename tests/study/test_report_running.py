@@ -65,7 +65,7 @@ def test_the_table_is_the_same_in_processes(tmp_path: Path) -> None:
 def test_the_table_is_the_same_however_many_processes(tmp_path: Path) -> None:
     files = sorted((ROOT / "cases").glob("t*.toml"))[::3]  # of bars, ties, friction, a penalty, a path
     one, two = (_write(tmp_path / str(jobs), jobs, files) for jobs in (1, 2))
-    assert len(one.rows) > 100
+    assert len(one.rows) > 5 * len(files)
     assert _timeless(one.rows) == _timeless(two.rows)
 
 
