@@ -41,6 +41,7 @@ IN_SPACE = "contacts are at the border of two states in space, where errors of d
 UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
 SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
 NEVER_CLOSES = "along rows, rates of gaps that never close have none"
+GRAZES = "bodies are free to move, and where they go decides on what grazes them"
 UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
@@ -313,7 +314,7 @@ def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> 
     if linearised.redundant or shared:
         return SHARED
     if linearised.has_bounds:
-        return UNREFINED
+        return GRAZES if linearised.solution.free_motions else UNREFINED
     return f"{linearised.at_border()}, within what refinement leaves of zero, and may be beside the border"
 
 

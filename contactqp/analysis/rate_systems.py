@@ -87,7 +87,7 @@ class RateSystem:
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         self._problem, self._exact, self.status = problem, extended_rows(problem), status
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
-        self._unit, self._answer = condensation.unknown_scale, answer
+        self._unit, self._answer, self._condensation = condensation.unknown_scale, answer, condensation
         with_friction = problem.frictional
         self._system: FactorisedStates
         if with_friction:
@@ -139,6 +139,9 @@ class RateSystem:
     ) -> Solved:
         """Refine a solution until what is left of it, as a function of it and of the sweep, tells nothing more.
 
+        Where slips turn, small ones among large displacements, three sweeps and more are made, and the slowest counts:
+        what converges slowly need not show at first.
+
         Parameters
         ----------
         y : the start: displacement, normal forces, flat tangents and ties
@@ -152,7 +155,12 @@ class RateSystem:
             parts = (change.displacement, change.normal, change.tangent.ravel(), change.tie)
             y = [whole + part for whole, part in zip(y, parts, strict=True)]
             size, whole_size = self._size(parts), self._size([part.double() for part in y])
-            if sweep:
+            if sweep and self.turns:
+                ratio = size / last if last > INVISIBLE * whole_size else 0.0
+                contraction = ratio if sweep == 1 else max(contraction, ratio)
+                if ratio > 0.5 or (sweep > 1 and size <= INVISIBLE * whole_size):
+                    break
+            elif sweep:
                 contraction = size / last if last > 0 else 0.0
                 if size * min(contraction * CAUTION, 1.0) <= ENOUGH * whole_size or size > 0.5 * last:
                     break
@@ -197,8 +205,7 @@ class RateSystem:
             return None
         if self.across is None and known is not None and (direction.by_answer or self.turns):
             solved, off, friction = self.completed(solved, data, own, direction, known)
-        rates = self.of_parts(direction, solved.found, solved.bound, own)
-        rates = rates if friction is None else replace(rates, friction_force=friction)
+        rates = self.of_parts(direction, solved.found, solved.bound, own, friction)
         return replace(rates, off=off, gap=self.gap(solved, data.normal) if direction.rows is None else rates.gap)
 
     def where_signs_hold(
@@ -226,7 +233,9 @@ class RateSystem:
         signs += margin * np.concatenate([found.bound.normal[closing], off[opening]])
         return found if np.all(signs > 0 if margin < 0 else signs >= 0) else None
 
-    def of_parts(self, direction: Direction, found: Parts, bound: Parts | None, own: Array) -> Rates:
+    def of_parts(
+        self, direction: Direction, found: Parts, bound: Parts | None, own: Array, drag: Array | None = None
+    ) -> Rates:
         """Return the rates that a solution of the system stands for.
 
         Parameters
@@ -234,9 +243,12 @@ class RateSystem:
         direction : what they are along
         found, bound : the solution, and its bound
         own : (m, d-1) array, the friction of slips that the data hold
+        drag : (m, d-1) array, the rates of friction where they are known beyond doubles
         """
         problem, friction = self._problem, found.tangent
-        if problem.tangent is not None and problem.friction is not None and problem.frictional:
+        if drag is not None:
+            friction = drag
+        elif problem.tangent is not None and problem.friction is not None and problem.frictional:
             dragged = (problem.friction * found.normal)[:, None] * self.directions
             moved = (problem.tangent @ found.displacement).reshape(friction.shape)
             friction = friction + dragged + own + np.einsum("mij,mj->mi", self.turning, moved)
@@ -309,15 +321,21 @@ class RateSystem:
         push, sticks = np.where(self.status != OPEN, start.normal, 0.0), np.zeros(self.directions.size)
         first = [Extended(one) for one in (start.displacement, push, sticks, start.tie)]
         solved = self._refined(first, left, False)
-        if not np.isfinite(solved.remainder):
-            return solved
+        # Small slips of an answer in doubles have directions of few digits: a system with all of them tells the rest.
+        rounded = [part.double() for part in solved.extended]
+        found = Parts(
+            rounded[0], rounded[1], slip_of(solved.extended[0]).double().reshape(self.directions.shape), start.tie
+        )
+        self._system = frictional = Frictional(problem, self._condensation, self.status, found)
+        self.directions, self.turning = frictional.directions, frictional.turning
+        solved = self._refined([Extended(part) for part in rounded], left, False)
+        if not (frictional.regular and np.isfinite(solved.remainder)):
+            return replace(solved, bound=None, remainder=np.inf)
         u, normal = solved.extended[:2]
         moved = solved.remainder * self._unit + ROUNDED * abs(u.hi)
         off_slip = (abs(problem.tangent) @ moved + ROUNDED * abs(origin)).reshape(self.directions.shape)
         off_push = self._forces(solved.remainder, 0) + ROUNDED * abs(normal.hi)
-        law = SlipLaw.at(
-            coefficient, self.status, slip_of(u), normal, np.linalg.norm(off_slip, axis=1), off_push
-        )  # fmt: skip
+        law = SlipLaw.at(coefficient, self.status, slip_of(u), normal, np.linalg.norm(off_slip, axis=1), off_push)
         if not law.is_known:
             return replace(solved, bound=None, remainder=np.inf)
         self.law = law
