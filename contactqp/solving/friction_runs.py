@@ -371,7 +371,7 @@ def _by_any(
                 return _listed(problem, condensation)[0]
         with suppress(NotConverged):
             return _by(None, problem, condensation, method, settings, meter)
-        if few or problem.contacts > MOST_CONTACTS:
+        if few or problem.contacts > MOST_CONTACTS or settings.max_iter is not None:
             raise error from None
     return _listed(problem, condensation)[0]
 

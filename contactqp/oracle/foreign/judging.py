@@ -33,6 +33,8 @@ from contactqp.solving.solve import begin, of_problem, solve
 
 # Contacts of which all combinations of open, stick and slip are tried: 256 of them, each 1 to 3 ms.
 FEW = 4
+# Steps of each algorithm of friction that look for an equilibrium near a given answer.
+STEPS_FROM_ANSWER = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +183,7 @@ def _from(problem: ContactProblem, answer: Answer) -> Solution:
     """Return the equilibrium that Newton's method finds from the answer."""
     if (near := near_one(problem)) is not None:
         return of_problem(near, _from(near.problem, near.answer(answer)))
-    return begin(problem, start=Candidate(answer)).finish()
+    return begin(problem, start=Candidate(answer), max_iter=STEPS_FROM_ANSWER).finish()
 
 
 # Said where some gaps are not `determined_gaps`.

@@ -246,7 +246,7 @@ def run_any(
                 form,
                 ALGORITHMS[name],
                 find("clarabel" if ALGORITHMS[name].convex else "active-set"),
-                replace(settings, max_iter=limit, time_limit=deadline.remaining),
+                replace(settings, max_iter=min(limit, settings.max_iter or limit), time_limit=deadline.remaining),
                 from_best,
                 accepted,
             )

@@ -10,7 +10,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.solving import friction_runs
-from contactqp.solving.friction import contact_form
+from contactqp.solving.friction import algorithms, contact_form
+from contactqp.solving.methods import Settings
 
 
 def held_by_friction_alone() -> cq.ContactProblem:
@@ -65,3 +66,32 @@ def test_few_contacts_in_the_plane_take_few_tresca_problems_before_their_combina
     with pytest.raises(cq.NotConverged, match="of the test"):
         cq.solve(block, max_iter=70, algorithm="tresca")
     assert given == [friction_runs.STEPS_BEFORE_LISTING, 70]
+
+
+def test_steps_that_the_caller_limits_are_those_of_every_algorithm_that_is_tried(monkeypatch) -> None:
+    """A diagnosis that allowed 20 steps for each of its questions took 20 s over a problem of seven contacts."""
+    limits = []
+
+    def fails(*arguments: Any) -> None:
+        limits.append(next(one for one in arguments if isinstance(one, Settings)).max_iter)
+        raise cq.NotConverged("not this time")
+
+    monkeypatch.setattr(algorithms, "run_algorithm", fails)
+    with pytest.raises(cq.NotConverged):
+        cq.solve(held_by_friction_alone(), max_iter=5)
+    assert max(limits) == 5
+    assert len(limits) > 3
+
+
+def test_combinations_are_not_listed_where_steps_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of seven contacts in the plane there are 16384, which take ten seconds."""
+
+    def fails(*_: Any) -> None:
+        raise cq.NotConverged("not this time")
+
+    monkeypatch.setattr(friction_runs, "_by", fails)
+    monkeypatch.setattr(friction_runs, "_listed", lambda *_: pytest.fail("combinations were listed"))
+    down, along = np.tile([0.0, -1.0], (4, 1)), np.tile([1.0, 0.0], (4, 1))
+    block = cq.ContactProblem(np.eye(2), [0.1, -1.0], down, np.zeros(4), tangent=along, friction=0.3)
+    with pytest.raises(cq.NotConverged, match="not this time"):
+        cq.solve(block, max_iter=5)
