@@ -297,7 +297,7 @@ def test_a_snap_under_load_is_a_limit_point_of_the_path(seed):
     assert limit.load_factor <= told[-1]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "force"), [(2.0**300, 2.0**-400), (2.0**-300, 2.0**300)])
 @pytest.mark.parametrize("control", ["arc-length", "load"])
 def test_units_of_any_size_change_no_digit_of_a_path(length, force, control):

@@ -88,6 +88,7 @@ def test_bounds_of_bodies_hold_against_all_exact_equilibria(problems: int, at_bo
     assert sum(at_borders) >= problems // 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problems", [12, pytest.param(300, marks=pytest.mark.slow)])
 def test_bounds_of_local_problems_hold_against_all_exact_forces(problems: int, at_borders: list[bool]) -> None:
     rng = np.random.default_rng(2)

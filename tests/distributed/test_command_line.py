@@ -29,7 +29,11 @@ def in_one_process(capsys, case) -> dict:
 
 @pytest.mark.parametrize(
     ("cases", "count"),
-    [(("bar_wall", "hertz_line"), 2), pytest.param(("tie_symmetry",), 3, marks=pytest.mark.slow)],
+    [
+        (("bar_wall",), 2),
+        pytest.param(("bar_wall", "hertz_line"), 2, marks=pytest.mark.slow),
+        pytest.param(("tie_symmetry",), 3, marks=pytest.mark.slow),
+    ],
     ids=str,
 )
 def test_the_answer_is_that_of_one_process(python_on_ranks, capsys, cases, count):

@@ -166,9 +166,10 @@ def test_rates_at_redundant_contacts_are_differences_of_exact_answers(problems: 
     assert min(compared // 6, refused // 5, kinks // 3, by_rows) >= problems
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("border", "problems"),
-    [(True, 2), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((False, 12), (True, 12)))],
+    [(True, 2), (False, 12), (True, 12)],
 )
 def test_rates_are_differences_of_exact_answers_and_those_in_doubles(border: bool, problems: int) -> None:
     rng, seen, reached, step = np.random.default_rng(21), 0, 0, Fraction(STEP)

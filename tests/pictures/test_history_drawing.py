@@ -121,6 +121,7 @@ def test_the_check_of_marks_refuses_wrong_ones(events):
         check_marks(history_figure(cq.History(list(path), path.times, lambda: events)), [("closed", 0.525)], panels=4)
 
 
+@pytest.mark.slow
 def test_the_loop_of_jenkins(jenkins):
     figure = history_figure(jenkins)
     ends = [1.5625, 2.5625, 3.5625]  # slip at 0.45 N, -0.1 N and 0.1 N on ways of 0.8 N and 1.6 N
