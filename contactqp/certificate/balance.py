@@ -132,7 +132,12 @@ def free_distance(
 
 
 def shared_by_rounding(
-    problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, displacement: Vector, cleared: float
+    problem: ContactProblem,
+    condensation: Condensation,
+    saddle: SaddlePoint,
+    displacement: Vector,
+    cleared: float,
+    push: Vector,
 ) -> tuple[Vector, float, bool]:
     """Return sizes (m,) of the contact forces that K's rounding along rigid motions may make, and their energy norm.
 
@@ -147,18 +152,20 @@ def shared_by_rounding(
     condensation : that of the problem
     saddle : the factorised system of the closed contacts
     displacement : (n,) array [length], whose rigid part makes the forces
-    cleared : the part of all forces that K's rounding along rigid motions made, zero where it was left as it is
+    cleared : the part of all forces that K was cleared of
+    push : (m,) array, the contact forces; without them and without a load nothing has forces
     """
     if cleared and problem.near_null_space is not None:
         return np.zeros(problem.contacts), 0.0, True
     forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
-    if cleared > RESISTED:
+    unsure = cleared > RESISTED and bool(problem.load.any() or push.any())
+    if unsure:
         spread = problem.diagonal[:, None] * motions
         forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
     pushed, closed = np.zeros(problem.contacts), saddle.closed
     _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
     pushed[closed] = PUSHED_BY_ROUNDING * share
-    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True)), cleared <= RESISTED
+    return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True)), not unsure
 
 
 def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:

@@ -311,10 +311,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
     size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
-    # A solution that is known has its own rigid part, however far away the answer is.
-    moved = solution.double() if floats and pair.exact else answer.displacement
+    moved = solution.double() if floats and pair.exact else answer.displacement  # which may be far from the solution
     if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
         uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
+        rigid = max(rigid, 2 * uncertain)  # the answer may be strained as much
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
@@ -338,7 +338,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
     if floats:
-        shared, of_shared, sure = shared_by_rounding(problem, condensation, pair.saddle, moved, pair.cleared)
+        shared, of_shared, sure = shared_by_rounding(problem, condensation, pair.saddle, moved, pair.cleared, push)
     relative = None
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)

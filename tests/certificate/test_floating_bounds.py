@@ -146,6 +146,20 @@ def test_a_stiffness_that_resists_a_motion_by_no_more_than_its_rounding_proves_n
         cq.solve(driven)
 
 
+@pytest.mark.parametrize("soft", [1e-3, 0.3, 1.1])
+@pytest.mark.parametrize("far", [1e-2, 1.0, 1e2])
+def test_a_chain_that_a_tie_moves_rigidly_is_right_though_rounding_strains_its_soft_springs(soft, far):
+    """Without a load nothing is strained; what rounding of stiff springs strains soft ones by was called an error."""
+    K = _chain([0.0, 1.3e4, soft, 0.7e4, 0.8e4, 1.7 * soft, 1.9e4])
+    assert any(math.fsum(row) for row in K)
+    problem = cq.ContactProblem(K, np.zeros(7), np.eye(7)[[5]], [2 * far], tie=np.eye(7)[[2]], tie_value=[far])
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.displacement == pytest.approx(np.full(7, far), rel=1e-9)
+    bent = solution.displacement + 1e-4 * far * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])  # a soft spring
+    assert not cq.certify(problem, bent, [0.0], tie_force=[0.0]).passed
+
+
 def _far_chain(far: float) -> tuple[cq.ContactProblem, np.ndarray]:
     """Return a free chain of uneven springs that rests far away on two masses, and its forces, in rationals."""
     k = [0.731, 0.0417, 3.77, 1.93, 0.611]
