@@ -64,6 +64,13 @@ def test_a_large_indefinite_matrix_is_refused_by_its_factorisation() -> None:
         cq.solve(problem)
 
 
+def test_a_global_problem_beside_diagonals_of_the_least_number_leaves_no_warning() -> None:
+    """Its asymmetry is beyond doubles; it may be as unsymmetric as it likes."""
+    least = float(np.nextafter(0.0, 1.0))
+    given = {"directions": np.eye(2), "load": [0.0, 1.0], "offset": [0.0, 0.0], "friction": [0.3], "dimension": 2}
+    assert cq.GlobalProblem([[least, 0.0], [1.0, least]], **given).contacts == 1
+
+
 def test_print_precision_asymmetry_is_symmetrised_and_reported() -> None:
     K = np.array([[2.0, -1.0], [-1.0 + 1e-8, 2.0]])
     problem = cq.ContactProblem(**(GOOD | dict(stiffness=K)))
