@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.adversary import judging
-from benchmarks.adversary.faults import FAULTS
+from benchmarks.adversary.faults import FAULTS, SEEN_AS
 from benchmarks.adversary.judging import Finding
 from benchmarks.adversary.trials import KINDS, Trial, trial, write_smallest
 
@@ -37,8 +37,6 @@ SILENCE, WAITING = 60, 600
 MEMORY = 4 * 2**30
 LARGEST = 2**30  # bytes that a process may hold
 SHOWN = 40
-# Findings that a busy machine may be the cause of.
-BY_THE_CLOCK = ("slow", "hang", "memory")
 
 
 @dataclass
@@ -88,7 +86,7 @@ class Processes:
         self._running = set(self._processes)
 
     def run(self) -> Tally:
-        """A fault that is planted need be found once, by what is wrong and not by the clock."""
+        """A fault that is planted need be found once, by a finding that is due to it."""
         while self._running and not self._found_what_is_planted():
             try:
                 job, line = self._lines.get(timeout=1.0)
@@ -107,7 +105,8 @@ class Processes:
         return self.tally
 
     def _found_what_is_planted(self) -> bool:
-        return self._options.plant != "none" and any(one[3].kind not in BY_THE_CLOCK for one in self.tally.findings)
+        due = SEEN_AS.get(self._options.plant, set())
+        return any(finding.kind in due for *_, finding in self.tally.findings)
 
     def _start(self, job: int, first: int) -> None:
         options, left = self._options, max(self._until - time.monotonic(), 0.0) / 60

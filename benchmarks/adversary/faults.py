@@ -159,3 +159,22 @@ FAULTS: dict[str, Fault] = {
     "json": lambda: _patched(output, "print_error", _unjson),
     "lines": lambda: _patched(output, "complain", _in_lines),
 }
+# The kinds of findings that are due to each fault. Others may come with it: a refused answer that is returned as if it
+# had passed may lack bounds, which is found as well.
+SEEN_AS: dict[str, set[str]] = {
+    "tension": {"forgery", "wrong"},
+    "sign": {"forgery", "wrong", "bound"},
+    "bound": {"bound"},
+    "scale": {"wrong", "refused", "bound", "units"},  # other digits in other units
+    "swallowed": {"wrong", "forgery"},
+    "floor": {"refused"},
+    "size": {"forgery", "wrong"},
+    "law": {"forgery", "wrong"},
+    "absence": {"denied"},
+    "units": {"units"},
+    "range": {"crashed", "units", "refused", "bound"},
+    "warning": {"crashed"},
+    "reader": {"crashed"},
+    "json": {"printed"},
+    "lines": {"printed"},
+}

@@ -17,32 +17,13 @@ import contactqp as cq
 pytest.importorskip("flint")
 
 from benchmarks.adversary.__main__ import main
-from benchmarks.adversary.faults import FAULTS
+from benchmarks.adversary.faults import FAULTS, SEEN_AS
 from benchmarks.adversary.files import _ended, _judge_command
 from benchmarks.adversary.grammar import BODIES, CONTACTS, HELD, LOADS, REPEATS, SIZES, draw
 from benchmarks.adversary.judging import Finding, Judge
 from benchmarks.adversary.shrinking import shrunk
 from benchmarks.adversary.trials import KINDS, files, trial, write_smallest
 from benchmarks.friction_families import Posed
-
-# Of a fault, what must be said of it.
-SEEN_AS = {
-    "tension": {"forgery", "wrong"},
-    "sign": {"forgery", "wrong", "bound"},
-    "bound": {"bound"},
-    "scale": {"wrong", "refused", "bound", "units"},  # other digits in other units
-    "swallowed": {"wrong", "forgery"},
-    "floor": {"refused"},
-    "size": {"forgery", "wrong"},
-    "law": {"forgery", "wrong"},
-    "absence": {"denied"},
-    "units": {"units"},
-    "range": {"crashed", "units", "refused", "bound"},
-    "warning": {"crashed"},
-    "reader": {"crashed"},
-    "json": {"printed"},
-    "lines": {"printed"},
-}
 
 
 @pytest.mark.slow
@@ -199,9 +180,12 @@ def test_processes_that_end_before_their_first_trial_are_a_finding(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [name for name in FAULTS if name != "none"])
-def test_a_planted_fault_is_found_within_two_minutes(fault: str) -> None:
+def test_a_planted_fault_is_found_within_two_minutes(fault: str, pytestconfig: pytest.Config) -> None:
+    """The seed is that of Hypothesis where one is given, as by `.ci/run`: what failed there can be repeated."""
     command = [sys.executable, "-m", "benchmarks.adversary", "--minutes", "2", "--plant", fault]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
+    seed = pytestconfig.getoption("hypothesis_seed", None)
+    command += [] if seed is None else ["--seed", str(seed)]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=240)
     kinds = {line.split(":")[0] for line in done.stdout.splitlines()}
     assert done.returncode == 1, done.stdout + done.stderr
     assert kinds & SEEN_AS[fault], done.stdout
