@@ -57,6 +57,8 @@ CLEARLY = 1e-8
 # Rates that leave this part of the load's rate unbalanced are none, however large they are: those of a system that is
 # singular, whose motion the load drives, are without end.
 UNBALANCED = 1e-4
+# What fails by this part of the largest in doubles does so by more than their rounding.
+UNSOLVED = 1e-9
 # Rates that differ by this part of the largest are two continuations.
 DISTINCT = 1e-7
 # Combinations of undecided contacts up to which all are tried, so that several continuations are seen.
@@ -105,10 +107,19 @@ class _Margins:
 
 
 class ExactPath:
-    """A path followed from event to event, starting from a solution."""
+    """A path followed from event to event.
 
-    def __init__(self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None) -> None:
-        self._problem, self._condensation = problem, condense(problem)
+    Parameters
+    ----------
+    problem, first : ContactProblem and the solution from which it starts
+    system : the linear systems of the problem's combinations, where they are at hand
+    refined : whether answers are refined to the last digits; else they are those of `system`, at contact unknowns alone
+    """
+
+    def __init__(
+        self, problem: ContactProblem, first: Solution, system: ForceSystem | None = None, refined: bool = True
+    ) -> None:
+        self._problem, self._condensation, self._refined = problem, condense(problem), refined
         self.system = system or ForceSystem(problem, self._condensation)
         self.status = self.system.plain(combination_of(first.problem, first.answer))
         self.answer = first.answer
@@ -131,9 +142,8 @@ class ExactPath:
         NoEquilibrium, SeveralEquilibria, NotConverged
             No continuation, several, or too many events; with the pseudo-time.
         """
-        zero = np.zeros(self._problem.contacts)
-        still = dict(gap=zero, slip_origin=zero, tie_value=np.zeros(self._problem.ties))
-        direction = self._problem.replace(load=end - start, **still)
+        zero, problem = np.zeros(self._problem.contacts), self._problem
+        direction = problem.replace(load=end - start, gap=zero, slip_origin=zero, tie_value=np.zeros(problem.ties))
         rates = self.system.lengths(direction, self._condensation.reduce_load(end - start)[0])
         fraction, self.events, self.segments = 0.0, [], []
         hit = np.zeros((4, len(zero)), dtype=bool)
@@ -144,7 +154,7 @@ class ExactPath:
             at = f"at t = {time + lasts * fraction:.12g}"
             status = continuation(self.system, rates, standing, self._problem, at)
             self.events += self._decided(standing.status, status, fraction)
-            rate = answer_in(direction, self._condensation, self.system.rows, status, _nothing(direction))
+            rate = self._rate(direction, rates, status)
             self._go_on_in(status)
             following, hit = self._next(standing, rate)
             reached = fraction + following if fraction + following < 1 - SIMULTANEOUS else 1.0
@@ -156,14 +166,30 @@ class ExactPath:
                 return
         raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
 
+    def _rate(self, direction: ContactProblem, rates: Lengths, status: Status) -> Answer:
+        if not self._refined:
+            return self._in_doubles(status, rates)
+        return answer_in(direction, self._condensation, self.system.rows, status, _nothing(direction))
+
     def at(self, load: Vector, fraction: float, segment: Segment) -> Answer:
-        """Return the certified answer to the load at a fraction of the leg within a segment."""
+        """Return the answer to the load at a fraction of the leg within a segment."""
         problem = self._problem.replace(load=load, slip_origin=segment.anchor)
+        if not self._refined:
+            lengths = self.system.lengths(problem, self._condensation.reduce_load(load)[0])
+            return self._in_doubles(segment.status, lengths)
         answer = answer_in(problem, self._condensation, self.system.rows, segment.status, segment.near(fraction))
         if not holds(problem.replace(slip_origin=self._position(answer)), answer):
             # An answer that is zero is not reached from one that is not.
             answer = answer_in(problem, self._condensation, self.system.rows, segment.status, _nothing(problem))
         return without_idle_friction(self.system, answer)
+
+    def _in_doubles(self, status: Status, lengths: Lengths) -> Answer:
+        """Return the answer of a combination as the system has it; NotConverged where that leaves forces free."""
+        found, u = self.system.solve(status, lengths), np.zeros(self._problem.dimension)
+        if self.system.redundant(status) or found.residual > UNSOLVED * lengths.size:
+            raise NotConverged("follow_path: forces in doubles are not determined")
+        u[self._condensation.retained] = self.system.displacement(found, lengths) * self.system.rows.scale
+        return self.system.unscaled(found, u)
 
     def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
         """Return what happened to each contact; a contact that closes slipping yields two events."""
@@ -189,13 +215,12 @@ class ExactPath:
         zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
         closed, stuck = self.status != OPEN, self.status == STICK
         null = np.where(closed, zero[1], zero[0])
-        edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
-        has_friction = self.system.coefficient > 0
-        edge = np.where(stuck, edge, np.where(closed & has_friction, self.status, 0))
+        at_edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
+        edge = np.where(stuck, at_edge, np.where(closed & (self.system.coefficient > 0), self.status, 0))
         return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
 
     def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
-        """Return how far the next zero is, as a part of the leg, and which margins (4, m) reach it there."""
+        """Return the part of the leg to the next zero, and the margins (4, m) that reach it there."""
         margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
         decided = standing.null | (standing.edge != 0)
         # What was just decided does not fall.
@@ -216,10 +241,15 @@ class ExactPath:
         value = np.array([gap / rows.normal_length, normal, bound - friction, bound + friction])
         return _Margins(value, np.array([~closed, closed, stuck, stuck]))
 
+    def keeps_signs(self) -> bool:
+        """Return whether gaps, forces and margins where the path has come to are not negative, but for rounding."""
+        margins = self._margins(self.answer)
+        return not np.any(margins.kept & (margins.value < -UNSOLVED * self._sizes(margins.value)))
+
     def _sizes(self, values: Array) -> Array:
         """Return the largest gap, then the largest force, (4, 1)."""
-        force = float(np.max(abs(values[1:]), initial=0.0))
-        return np.array([float(np.max(abs(values[0]), initial=0.0)), force, force, force])[:, None]
+        gap, force = (float(np.max(abs(part), initial=0.0)) for part in (values[0], values[1:]))
+        return np.array([gap, force, force, force])[:, None]
 
     def _friction(self, answer: Answer) -> Vector:
         return np.zeros(self._problem.contacts) if answer.friction_force is None else answer.friction_force[:, 0]
@@ -323,13 +353,10 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
 
 
 def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
-    choices: list[tuple[int, ...]] = []
-    for i in standing.undecided.tolist():
-        if not standing.null[i]:
-            choices.append((STICK, int(standing.edge[i])))
-        else:
-            choices.append(plane_states(system.coefficient[i]))
-    return choices
+    return [
+        plane_states(system.coefficient[i]) if standing.null[i] else (STICK, int(standing.edge[i]))
+        for i in standing.undecided.tolist()
+    ]
 
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
@@ -400,8 +427,8 @@ def _resting(system: ForceSystem, rates: Lengths, standing: Standing, status: St
 
 
 def _described(problem: ContactProblem, standing: Standing, answer: CombinationAnswer) -> str:
-    chosen = [f"{problem.contact_name(i)} {WORDS[int(answer.status[i])]}" for i in standing.undecided.tolist()]
-    return ", ".join(chosen[:NAMES_IN_A_MESSAGE])
+    some = standing.undecided[:NAMES_IN_A_MESSAGE].tolist()
+    return ", ".join(f"{problem.contact_name(i)} {WORDS[int(answer.status[i])]}" for i in some)
 
 
 def _named(problem: ContactProblem, contacts: Indices) -> str:
@@ -460,8 +487,7 @@ def steps_to_events(
 
 def falls(size: Vector, rate: Vector) -> Iterator[float]:
     """Yield the steps at which positive sizes reach zero."""
-    falls = rate < 0
-    yield from (np.maximum(size[falls], 0.0) / -rate[falls]).tolist()
+    yield from (np.maximum(size[rate < 0], 0.0) / -rate[rate < 0]).tolist()
 
 
 def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:

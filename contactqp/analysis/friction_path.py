@@ -53,6 +53,11 @@ from contactqp.solving.methods.penalty import with_contact_springs, without_cont
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
 ARGUMENTS = tuple(DEFAULTS)
 PREFIX = "follow_path: "
+# Operations that following steps again for their notes may take, about a second, unless the steps took more.
+BUDGET = 1e9
+# Operations that an event takes however small the problem is, for each square of the rows of contacts and ties, for
+# each entry of the stiffness where loads are condensed, and where answers are refined.
+CALL, PER_SQUARE, PER_UNKNOWN, PER_ENTRY = 2e6, 50.0, 20.0, 200.0
 # Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
 STIFFEST = 1e6
 
@@ -280,18 +285,42 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
 
 
 def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """Return one note for every step that jumps or chooses, and one for every run of steps with several equilibria."""
+    """Return one note for every step that jumps or chooses, and one for every run of steps with several equilibria.
+
+    Steps are followed in doubles, and to the last digits those that are stopped there or lose the signs of contacts.
+    This may take `BUDGET` operations, or as many as the steps took; a note says where it stopped.
+    """
     reason = _not_followed(problem)
     if reason:
         yield f"whether steps jump was not examined: {reason}"
     else:
         with problem.lock, one_blas_thread(problem):
             system = ForceSystem(problem, condense(problem))
+            in_doubles, exact = _operations_of_an_event(problem, system)
+            allowed, spent = max(BUDGET, len(steps) * exact), 0.0
             for i in range(len(steps) - 1):
-                found = _through(problem, system, steps[i], steps[i + 1], (times[i], times[i + 1]))
+                if spent >= allowed:
+                    yield (
+                        f"whether steps after t = {times[i]:.12g} jump was not examined after {allowed:.3g} "
+                        "operations: events='exact' follows them"
+                    )
+                    break
+                step = steps[i], steps[i + 1], (times[i], times[i + 1])
+                path, found = _through(problem, system, *step, refined=False)
+                spent += in_doubles * (len(path.segments) + 1)
+                if found or not path.keeps_signs():
+                    path, found = _through(problem, system, *step, refined=True)
+                    spent += exact * (len(path.segments) + 1)
                 if found:
                     yield f"step to t = {times[i + 1]:.12g}: {found}"
     yield from _several(steps, times)
+
+
+def _operations_of_an_event(problem: ContactProblem, system: ForceSystem) -> tuple[float, float]:
+    """Return the operations that following a path to its next event takes, in doubles and to the last digits."""
+    rows, entries = float(len(system.slope)), float(problem.stiffness_rows.nnz)
+    in_doubles = CALL + PER_SQUARE * rows**2 + rows**3 + PER_UNKNOWN * entries
+    return in_doubles, in_doubles + CALL + 2 * PER_ENTRY * entries
 
 
 def _not_followed(problem: ContactProblem) -> str:
@@ -301,23 +330,28 @@ def _not_followed(problem: ContactProblem) -> str:
 
 
 def _through(
-    problem: ContactProblem, system: ForceSystem, before: Solution, now: Solution, times: tuple[float, float]
-) -> str:
-    """Return what stops the path through one step, or None."""
+    problem: ContactProblem,
+    system: ForceSystem,
+    before: Solution,
+    now: Solution,
+    times: tuple[float, float],
+    refined: bool,
+) -> tuple[ExactPath, str]:
+    """Return the path through one step, and in words what stops it, or ''."""
     start, end = times
-    path = ExactPath(problem, before, system)
+    path = ExactPath(problem, before, system, refined)
     jump = path.jump_at_start() if start == 0 else ""
     if jump:
-        return f"it jumps; {jump}"
+        return path, f"it jumps; {jump}"
     try:
         path.leg(before.problem.load, now.problem.load, start, end - start)
     except NoEquilibrium as error:
-        return f"it jumps; {str(error).removeprefix(PREFIX)}"
+        return path, f"it jumps; {str(error).removeprefix(PREFIX)}"
     except SeveralEquilibria as error:
-        return f"it chooses; {str(error).removeprefix(PREFIX)}"
+        return path, f"it chooses; {str(error).removeprefix(PREFIX)}"
     except NotConverged as error:
-        return f"whether it jumps was not found out; {str(error).removeprefix(PREFIX)}"
-    return ""
+        return path, f"whether it jumps was not found out; {str(error).removeprefix(PREFIX)}"
+    return path, ""
 
 
 def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:

@@ -5,6 +5,8 @@ Steps that jump across a snap, or take one of several continuations, are noted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -14,6 +16,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis import friction_events, friction_path
+from contactqp.linalg.condensation import condense
+from contactqp.model.coulomb import OPEN
+from contactqp.solving.friction.force_system import ForceSystem
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, jenkins, pulled, rolling_block, truss_from_rest
 from tests.analysis.test_friction_events import KLARBRING, random_body
 from tests.solving.friction.problems import TOUCH, one_contact, random_problem, rough_truss, two_masses
@@ -355,6 +360,43 @@ def test_what_falls_and_what_is_anchored_elsewhere_jumps() -> None:
     assert falls.startswith("step to t = 0.25: it jumps; at t = 0: no continuation")
     (drawn,) = cq.follow_path(two_masses(0.0, (1e-3, 1e-3)), [WEIGHTS], steps=2).notes
     assert drawn.endswith("contact 0 is closed at the start, at E_T u = 0, and slip_origin anchors it at 0.001")
+
+
+@pytest.mark.parametrize("friction", [0.4, 0.8])
+def test_notes_stop_after_their_operations_and_say_so(friction: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = cq.follow_path(one_contact(KLARBRING, [0.0, 0.0], friction), PRESSED_AND_PULLED, steps=4)
+    monkeypatch.setattr(friction_path, "BUDGET", 1.0)
+    monkeypatch.setattr(friction_path, "_operations_of_an_event", lambda *_: (1e3, 1.0))
+    assert [note for note in history.notes if "several" not in note] == [
+        "whether steps after t = 0.25 jump was not examined after 9 operations: events='exact' follows them"
+    ]
+
+
+@pytest.mark.parametrize(("seeds", "steps"), [([3], 1), pytest.param(range(20), 3, marks=pytest.mark.slow)])
+def test_a_path_in_doubles_has_the_events_and_forces_of_the_exact_one(seeds: Sequence[int], steps: int) -> None:
+    for seed in seeds:
+        problem, loads = random_body(seed)
+        history = cq.follow_path(problem, loads, steps=steps)
+        system, compared = ForceSystem(problem, condense(problem)), 0
+        for i, (before, now) in enumerate(pairwise(history)):
+            part = (history.times[i], history.times[i + 1])
+            exact, nothing = friction_path._through(problem, system, before, now, part, refined=True)
+            quick, stopped = friction_path._through(problem, system, before, now, part, refined=False)
+            if stopped:  # forces that are shared in many ways are followed to the last digits
+                assert "not determined" in stopped
+                continue
+            assert nothing == ""
+            assert [one.end for one in quick.segments] == pytest.approx([one.end for one in exact.segments], abs=1e-9)
+            assert [one.status.tolist() for one in quick.segments] == [one.status.tolist() for one in exact.segments]
+            for values in ("normal_force", "friction_force"):
+                size = abs(exact.answer.normal_force).max()
+                assert getattr(quick.answer, values) == pytest.approx(getattr(exact.answer, values), abs=1e-9 * size)
+            assert quick.keeps_signs()
+            pulled = np.where(quick.status == OPEN, 0.0, -1e-6 * size)
+            quick.answer = replace(quick.answer, normal_force=pulled)
+            assert not quick.keeps_signs() or not pulled.any()
+            compared += 1
+        assert compared >= steps
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ from contactqp.model.solution import Answer
 CHANGED_ROWS = 0.15
 # What an update leaves of the right-hand side, relative to the largest number in the system, before it is given up.
 LEFT = 1e-13
-# A null vector of unit length that moves a contact by less than this moves none.
+# A null vector of unit length that moves a contact by less than this moves none, and has no force below this.
 UNDETERMINED = 1e-8
 
 
@@ -116,6 +116,14 @@ class ForceSystem:
             self._factorise(status)
             y, left = self._solved(status, lengths)
         return self._answer(status, lengths, y, left)
+
+    def redundant(self, status: Status) -> bool:
+        """Return whether a combination that was just solved leaves forces free, as dependent rows do."""
+        if self._factor is None or not self._factor.singular:
+            return False
+        _, values, rotation = np.linalg.svd(self.matrix(status))
+        free = rotation[values <= SINGULAR * values[0], : len(self.slope)]
+        return bool(np.any(abs(free) > UNDETERMINED))
 
     def undetermined(self, status: Status) -> bool:
         """Return whether a combination leaves free where its closed contacts and its ties move.
@@ -240,6 +248,11 @@ class _Factor:
         condition = dgecon(self._lu, np.linalg.norm(matrix, 1))[0] if info == 0 and len(matrix) else float(info == 0)
         self._inverse = np.linalg.pinv(matrix, rcond=SINGULAR) if condition < SINGULAR else None
         self._columns: dict[int, Vector] = {}
+
+    @property
+    def singular(self) -> bool:
+        """Return whether a pseudo-inverse takes the place of the factors."""
+        return self._inverse is not None
 
     def near(self, status: Status) -> bool:
         """Return whether few enough rows have changed."""
