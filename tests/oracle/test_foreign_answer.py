@@ -10,6 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp import testing
+from contactqp.oracle.foreign import judging
 from tests.examples import block_between, seeded_problem, truss, two_bars
 from tests.solving.friction.space import several
 
@@ -320,3 +321,22 @@ def test_contacts_of_a_unique_answer_are_called_wrong_by_their_gap() -> None:
     judged = cq.certify(program, [2.0, 1.5], [0.0, 0.5])
     assert [(one.name, one.figure) for one in judged.contacts] == [("lower 0", "gap")]
     assert "not the only one" not in judged.diagnosis
+
+
+@pytest.mark.parametrize("in_time", [True, False])
+def test_a_right_answer_that_is_not_found_is_sought_once(in_time: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What ended because the time was up is sought again."""
+    sought: list[cq.ContactProblem] = []
+
+    def gives_up(problem: cq.ContactProblem) -> cq.Solution:
+        sought.append(problem)
+        raise cq.NotConverged(f"gave up {len(sought)}")
+
+    monkeypatch.setattr(judging, "solve", gives_up)
+    monkeypatch.setattr(judging, "time_is_up", lambda: not in_time)
+    problem = two_bars()
+    reasons = [cq.certify(problem, [0.0, 0.0], [force]).why_not for force in (1.0, 2.0, 3.0)]
+    times = range(1, 4) if not in_time else (1, 1, 1)
+    assert reasons == [f"NotConverged: gave up {time}" for time in times]
+    assert len(sought) == times[-1]
+    assert sought[0] is problem

@@ -21,7 +21,7 @@ from contactqp.errors import ContactQPError
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.model.arrays import Array, Mask, Vector, all_finite
+from contactqp.model.arrays import Array, Mask, Vector, all_finite, time_is_up
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
@@ -149,7 +149,7 @@ class HeldAgainst:
     """The right answers to a problem and to the questions that stand beside it, found once for all that is judged."""
 
     problem: ContactProblem
-    solution: Solution | None = None
+    solution: Solution | ContactQPError | None = None  # or why there is none
     others: dict[Any, Answer | ContactQPError] = field(default_factory=dict)  # oracle.diagnosis: by question
 
 
@@ -161,13 +161,26 @@ def held_against(problem: ContactProblem) -> HeldAgainst:
     return kept  # type: ignore[no-any-return]
 
 
+def _kept_solution(kept: HeldAgainst) -> Solution:
+    """Return the certified solution, solving once; raise each time what that raised, unless the time was up."""
+    if kept.solution is None:
+        try:
+            kept.solution = solve(kept.problem)
+        except ContactQPError as error:
+            if time_is_up():
+                raise
+            kept.solution = error
+    if isinstance(kept.solution, ContactQPError):
+        raise kept.solution.with_traceback(None)
+    return kept.solution
+
+
 def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     """Return a certified solution; of several equilibria the one nearest to the answer, in the energy scale.
 
     Raises ContactQPError: there is none, or none was found.
     """
-    kept = held_against(problem)
-    found = kept.solution = kept.solution or solve(problem)
+    found = _kept_solution(held_against(problem))
     others = found.certificate.uniqueness
     plane = problem.tangent is not None and problem.tangent.shape[0] == problem.contacts
     if not (SEVERAL in others or POSSIBLE in others) or not all_finite(answer):
