@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import Direction, Parts, Rates, errors_of, shape_of_tangents
+from contactqp.analysis.rate_data import Direction, Parts, Rates, errors_of, shape_of_tangents, slips_that_begin
 from contactqp.analysis.rate_systems import SAME, RateSystem
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
@@ -26,7 +26,7 @@ from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import Answer, Certificate
 
 # Combinations of states that contacts at a border may go to, at most.
 MOST_COMBINATIONS = 256
@@ -44,8 +44,6 @@ TURNED = 1e-3
 FAR = 1e100
 # Turns of the directions in which contacts begin to slip, at most, and where these have settled.
 MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
-# Such parts of the friction that would hold them are what they start with beyond their bounds, at least.
-LEAST_STARTS = (0.1, 1e-3, 1.0)
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
 # What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
 MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
@@ -236,17 +234,6 @@ class Scales:
         return unit, normal, tangent, tie
 
 
-def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> ContactProblem:
-    """Return the problem of rates without friction: what grazes are its contacts, what is closed is among its ties."""
-    rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[closed]]))
-    posed = ContactProblem(
-        problem.stiffness, np.zeros(problem.dimension), problem.normal[grazing], np.zeros(len(grazing)),
-        tie=rows, tie_value=np.zeros(rows.shape[0]), near_null_space=problem.near_null_space,
-    )  # fmt: skip
-    posed._computed.wider_condensation = problem._computed.condensation
-    return posed
-
-
 def resolved(problem: ContactProblem, status: Status, answer: Parts) -> Parts:
     """Return the answer with slips in space that have their digits where bodies move far beside them.
 
@@ -284,6 +271,14 @@ def seen_states(words: Any, slip: Array) -> Status:
     return status
 
 
+def hardly_apart(certificate: Certificate, status: Status) -> Mask:
+    """Return which open contacts (m,) have no force and a gap that certificates excuse as nothing beside the whole."""
+    found = certificate.violations
+    if found is None:
+        return np.zeros(len(status), dtype=bool)
+    return np.asarray((found.gap_measure == 0) & (found.force_measure == 0) & (status == OPEN))
+
+
 def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, drag: Array) -> Indices:
     """Return the contacts that stick with all of the friction that their forces allow, nearly.
 
@@ -303,8 +298,9 @@ def decided_in_space(
 ) -> tuple[Status, Indices, Indices]:
     """Return the states (m,) of an answer in space, the contacts that graze, and those that stick at their bounds.
 
-    The answer is that of its states, to the rounding of doubles: a force or a gap that is more is there, and a slip
-    that is more and goes along its friction.
+    The answer is that of its states, to the rounding of doubles: a force that is more is there, and a slip that is more
+    and goes along its friction. A gap is there where the answer in these states has one in twice double precision, or,
+    where that is not known, where it is more than rounding of the displacement.
 
     Parameters
     ----------
@@ -326,24 +322,21 @@ def decided_in_space(
     for i in grazing[pushes[grazing] & ~apart[grazing]]:
         smooth = problem.friction[i] == 0 or not still[i]
         status[i] = SLIP_ON if smooth else STICK
-    grazing = grazing[~pushes[grazing] & ~apart[grazing]]
+    grazing = grazing[~pushes[grazing]]
+    system = RateSystem(problem, condense(problem), status, Parts(answer.displacement, push, slip, answer.tie_force))
+    known = system.answer() if system.regular else None
+    if known is not None and known.bound is not None:
+        apart = system.gap(known, np.where(np.isfinite(problem.gap), problem.gap, 0.0)) > 0
+    else:
+        unit = unknown_scale(problem)
+        rounded = np.sqrt(sp.csr_array(problem.normal).power(2) @ unit**2) * np.max(u / unit, initial=0.0)
+        apart = gap > LEFT * (met + rounded)
+    grazing = grazing[~apart[grazing]]
     near = (status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push)
     turned = lengths(slip * lengths(drag)[:, None] - drag * slid[:, None])
     status[near & ~still & (turned <= ALIGNED * lengths(drag) * slid)] = SLIP_ON
     at_bound = (status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push)
     return status, grazing, np.flatnonzero(at_bound)
-
-
-def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> ContactProblem:
-    """Return the problem with the slips of some contacts across their friction (q, 2) among its ties."""
-    assert problem.tangent is not None
-    rows = [
-        sp.csr_array(unit[None] @ problem.tangent[2 * i : 2 * i + 2]) for i, unit in zip(contacts, across, strict=True)
-    ]
-    value = np.concatenate([problem.tie_value, np.zeros(len(contacts))])
-    posed = problem.replace(tie=sp.csr_array(sp.vstack([problem.tie, *rows])), tie_value=value)
-    posed._computed.wider_condensation = problem._computed.condensation
-    return posed
 
 
 def named(problem: ContactProblem, contacts: Indices) -> str:
@@ -403,17 +396,31 @@ class Borders:
         text = "neither friction nor slip, which friction could act against"
         return f"{named(problem, still)} has {text}" if len(still) else None
 
-    def starts(self, held: Rates, begins: Indices) -> Iterator[Rates]:
-        """Yield rates with slips that friction beyond the bounds of some contacts, which held them, may come to."""
-        drag, size, mu = held.friction_force[begins], lengths(held.friction_force[begins]), self.problem.friction
-        if mu is None or not np.all(size > 0):
-            return
-        compliance = self.scales.units[2].reshape(self.drag.shape)[begins] ** 2
-        for least in LEAST_STARTS:
+    def unit_slips(self, begins: Indices) -> Iterator[Direction]:
+        """Yield the directions of slip origins by which some contacts are moved, each along both of its directions."""
+        zero = Direction.zero(self.problem)
+        for place in np.ndindex(len(begins), 2):
+            unit = zero.slip_origin.copy()
+            unit[begins[place[0]], place[1]] = 1.0
+            yield replace(zero, slip_origin=unit)
+
+    def starts(self, held: Rates, moved: list[Rates], begins: Indices) -> Iterator[Rates]:
+        """Yield rates with slips that contacts may begin with: all of one contact, at most one set of more.
+
+        Parameters
+        ----------
+        held : the rates at which these contacts stick
+        moved : what they change by along unit slips of each of the contacts, in both of its directions
+        begins : the contacts
+        """
+        assert self.problem.friction is not None
+        pushes = np.stack([one.normal_force[begins] for one in moved], axis=1).reshape(len(begins), -1, 2)
+        drags = np.stack([one.friction_force[begins] for one in moved], axis=2).reshape(len(begins), 2, -1, 2)
+        forces = held.normal_force[begins], held.friction_force[begins]
+        for found in slips_that_begin(self.problem.friction[begins], *forces, pushes, drags):
             push, slip = held.normal_force.copy(), held.slip.copy()
-            push[begins] = np.maximum(push[begins], least * size)
-            beyond = np.maximum(size - mu[begins] * push[begins], least * size)
-            slip[begins] = drag * (beyond / size)[:, None] * compliance
+            push[begins] += np.einsum("ijk,jk->i", pushes, found)
+            slip[begins] = found
             yield replace(held, normal_force=push, slip=slip)
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:

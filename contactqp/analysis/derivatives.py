@@ -15,9 +15,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.analysis.gradients import energy_of_rates, gradient, idle_ties, rate_of_energy, value_of
-from contactqp.analysis.rate_data import VECTORS, Direction, Rates, errors_of
+from contactqp.analysis.rate_data import FREE, REDUNDANT, VECTORS, Direction, NoRates, Rates, errors_of
 from contactqp.analysis.rate_systems import SAME
-from contactqp.analysis.rates import FREE, REDUNDANT, Linearised, NoRates
+from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one

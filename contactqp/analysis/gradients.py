@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import ROUNDED, Direction, Parts, Rates, times
-from contactqp.analysis.rates import SINGULAR, Linearised, NoRates
+from contactqp.analysis.rate_data import ROUNDED, SINGULAR, Direction, NoRates, Parts, Rates, times
+from contactqp.analysis.rates import Linearised
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows

@@ -19,7 +19,7 @@ from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, two_product, two_sum
 from contactqp.linalg.friction_states import StateSystem, slip_directions
-from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
@@ -28,8 +28,19 @@ from contactqp.model.solution import AnswerOf
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 # What sums of products in twice double precision are off by, as parts of their terms.
 ROUNDED = 2.0**-92
+# Sweeps over contacts that begin to slip, at most, and the part of each slip that the last may change: a start of
+# Newton's method.
+MOST_SWEEPS, SETTLED = 200, 1e-6
+# Why there are no rates.
+FREE = "bodies are free to move, and their displacements are not unique"
+REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
+SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 # Slips and forces that may be off by more than this part of them tell no direction and no turn of it.
 TOLD = 2.0**-10
+
+
+class NoRates(Exception):
+    """There are no rates towards a side; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,6 +320,57 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     return errors.reshape(getattr(rates, of).shape)
 
 
+def slips_that_begin(friction: Vector, push: Vector, drag: Array, pushes: Array, drags: Array) -> list[Array]:
+    """Return slips (q, 2) at whose rates the friction of contacts is at its bound, along them: all of one contact.
+
+    Forces are affine in the slips s: normal ones l = push + P s, friction r = drag + D s, and r_i = mu_i l_i s_i/|s_i|.
+    Of more than one contact each is given its slip in turn, until none changes (Gauss-Seidel), and these are returned.
+
+    Parameters
+    ----------
+    friction, push, drag : coefficients (q,), forces (q,) and friction (q, 2) where nothing slips
+    pushes, drags : P (q, q, 2) and D (q, 2, q, 2)
+    """
+    if len(push) == 1:
+        return [slip[None] for slip in _slips_of_one(friction[0], push[0], drag[0], pushes[0, 0], drags[0, :, 0])]
+    slips = np.zeros_like(drag)
+    for _ in range(MOST_SWEEPS):
+        changed = 0.0
+        for i in range(len(push)):
+            others = slips.copy()
+            others[i] = 0.0
+            own = push[i] + np.sum(pushes[i] * others), drag[i] + np.einsum("ajk,jk->a", drags[i], others)
+            beyond = np.linalg.norm(own[1]) > friction[i] * own[0]
+            possible = _slips_of_one(friction[i], *own, pushes[i, i], drags[i, :, i]) if beyond else []
+            found = possible[0] if possible else np.zeros(2)
+            before, after, apart = (float(np.linalg.norm(one)) for one in (slips[i], found, found - slips[i]))
+            changed, slips[i] = max(changed, apart / max(before, after, TINY)), found
+        if changed <= SETTLED:
+            return [slips] if np.all(slips.any(axis=1)) else []
+    return []
+
+
+def _slips_of_one(friction: float, push: float, drag: Vector, by_push: Vector, by_drag: Array) -> list[Vector]:
+    """Return the slips (2,) that one contact may begin with, those that fit best first; as `slips_that_begin`.
+
+    A slip |s| t has drag + |s| D t = mu (push + |s| P t) t. The product with what is across t leaves of it a polynomial
+    of degree 3 in the cosine and sine of the angle of t, without |s|.
+    """
+    angles = np.arange(8) * (np.pi / 4)
+    t = np.stack([np.cos(angles), np.sin(angles)])
+    rest, slope = drag[:, None] - friction * push * t, by_drag @ t - friction * (by_push @ t) * t
+    coefficients = np.fft.fft(rest[0] * slope[1] - rest[1] * slope[0])
+    roots = np.roots(np.concatenate([coefficients[3::-1], coefficients[:-4:-1]]))
+    found = []
+    for root in roots[roots != 0] / abs(roots[roots != 0]):
+        t = np.array([root.real, root.imag])
+        rest, slope = drag - friction * push * t, by_drag @ t - friction * (by_push @ t) * t
+        size = -float(rest @ slope) / max(float(slope @ slope), TINY)
+        if size > 0:
+            found.append((float(np.linalg.norm(rest + size * slope)), size * t))
+    return [slip for _, slip in sorted(found, key=lambda pair: pair[0])]
+
+
 class FactorisedStates(Protocol):
     """What is refined by: an approximate inverse, and products of the unknowns with the system."""
 
@@ -379,3 +441,26 @@ class Frictional:
 def closed_on(problem: ContactProblem, contacts: Indices) -> Status:
     """Return states (m,) in which these contacts alone are closed, without friction."""
     return np.where(np.isin(np.arange(problem.contacts), contacts), SLIP_ON, OPEN).astype(np.int8)
+
+
+def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> ContactProblem:
+    """Return the problem of rates without friction: what grazes are its contacts, what is closed is among its ties."""
+    rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[closed]]))
+    posed = ContactProblem(
+        problem.stiffness, np.zeros(problem.dimension), problem.normal[grazing], np.zeros(len(grazing)),
+        tie=rows, tie_value=np.zeros(rows.shape[0]), near_null_space=problem.near_null_space,
+    )  # fmt: skip
+    posed._computed.wider_condensation = problem._computed.condensation
+    return posed
+
+
+def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> ContactProblem:
+    """Return the problem with the slips of some contacts across their friction (q, 2) among its ties."""
+    assert problem.tangent is not None
+    rows = [
+        sp.csr_array(unit[None] @ problem.tangent[2 * i : 2 * i + 2]) for i, unit in zip(contacts, across, strict=True)
+    ]
+    value = np.concatenate([problem.tie_value, np.zeros(len(contacts))])
+    posed = problem.replace(tie=sp.csr_array(sp.vstack([problem.tie, *rows])), tie_value=value)
+    posed._computed.wider_condensation = problem._computed.condensation
+    return posed

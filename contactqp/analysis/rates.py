@@ -10,9 +10,10 @@ c the contacts that push and w those that graze, whose gap and force both vanish
 1976): a contact problem of the same stiffness, with the grazing contacts as its contacts and those that push among its
 ties; its forces are the rates of the forces. With friction every combination of states that the contacts at a border
 may go to is tried: one whose rates lead to where it says is the answer's. In space what begins to slip does so along
-its friction, and across it the rate of its slip is none; the direction in which a grazing contact that has not slipped
-begins to slip is looked for, where the law has one answer at every load: then so have its rates, which leave of the
-law what is beneath them.
+its friction, and across it the rate of its slip is none. The direction in which a grazing contact that has not slipped
+begins to slip is looked for: of one contact all are found, as roots of a polynomial; of several one is, which is the
+only one where the law has one answer at every load: then so have its rates, which leave of the law what is beneath
+them.
 """
 
 from __future__ import annotations
@@ -23,27 +24,23 @@ from functools import cached_property
 
 import numpy as np
 
-from contactqp.analysis.border_states import (
-    FAR,
-    MOST_COMBINATIONS,
-    MOST_TURNS,
-    RATE_EPS,
-    TURNS_NO_MORE,
-    Borders,
-    Scales,
-    at_border,
-    decided,
-    decided_in_space,
-    missed,
-    named,
-    rates_posed,
-    resolved,
-    seen_states,
-    slips_across,
-    sticking_at_bound,
-)  # fmt: skip
+from contactqp.analysis import border_states
+from contactqp.analysis.border_states import Borders, Scales, at_border, hardly_apart, missed, named, seen_states
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.rate_data import Direction, Parts, Rates, Solved, closed_on, shape_of_tangents, with_reaction
+from contactqp.analysis.rate_data import (
+    REDUNDANT,
+    SINGULAR,
+    Direction,
+    NoRates,
+    Parts,
+    Rates,
+    Solved,
+    closed_on,
+    rates_posed,
+    shape_of_tangents,
+    slips_across,
+    with_reaction,
+)  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, SAME, RateSystem
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
@@ -59,18 +56,11 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
-FREE = "bodies are free to move, and their displacements are not unique"
-REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
-SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
-IN_SPACE = "grazes in space where other answers are not excluded, and may begin to slip in many directions"
+IN_SPACE = "graze in space where other answers are not excluded, and together may begin to slip in many directions"
 # Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
 SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
 MOST_SHARING = 64
-
-
-class NoRates(Exception):
-    """There are no rates towards a side; the message says why."""
 
 
 class Linearised:
@@ -124,7 +114,7 @@ class Linearised:
         slip = np.zeros(shape_of_tangents(problem)) if answer.slip is None else answer.slip
         self._answer = Parts(answer.displacement, answer.normal_force, slip, answer.tie_force)
         if problem.frictional:
-            self._answer = resolved(problem, self.status, self._answer)
+            self._answer = border_states.resolved(problem, self.status, self._answer)
         self._systems: dict[bytes, RateSystem] = {}
         self._posed: dict[bytes, ContactProblem] = {}
         self.redundant = self._forces_depend()
@@ -146,22 +136,22 @@ class Linearised:
         self._drag = none if solution.friction_force is None else solution.friction_force
         self.push, self._gap, self.status = solution.normal_force, solution.gap, seen_states(words, self._slip)
         self.grazing, self._at_bound = (
-            np.flatnonzero(words == "grazing"),
-            sticking_at_bound(problem, self.status, self.push, self._drag),
+            np.flatnonzero((words == "grazing") | hardly_apart(solution.certificate, self.status)),
+            border_states.sticking_at_bound(problem, self.status, self.push, self._drag),
         )
         near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
         in_space = problem.frictional and none.shape[1] > 1
         self.sure = not len(near)
         if len(near) and in_space:
             answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
-            self.status, self.grazing, self._at_bound = decided_in_space(
+            self.status, self.grazing, self._at_bound = border_states.decided_in_space(
                 problem, self.status, self.grazing, answer, self._gap, self._slip
             )
         elif (len(near) or problem.dimension <= LARGE) and not (self.is_sparse or in_space):
             status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
-            found = decided(problem, condense(problem), status, near, parts)
+            found = border_states.decided(problem, condense(problem), status, near, parts)
             self.sure = self.sure or (found is not None and found.sure)
             if found is not None:
                 self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
@@ -203,7 +193,7 @@ class Linearised:
             slip[free], push[free] = rates.slip[free], rates.normal_force[free]
         if len(begins):
             along = self._drag[begins] / lengths(self._drag[begins])[:, None]
-            slip[begins] = FAR * along
+            slip[begins] = border_states.FAR * along
             across = np.column_stack([-along[:, 1], along[:, 0]])
             problem = slips_across(problem, begins, across)
         answer = Parts(self._answer.displacement, push, slip, np.concatenate([self._answer.tie, np.zeros(len(begins))]))
@@ -261,7 +251,8 @@ class Linearised:
         if self.system is not None:
             return None if self.system.regular else SINGULAR
         free = self.borders.free
-        return f"{named(self.problem, free)} {IN_SPACE}" if len(free) and self.solution.certificate.uniqueness else None
+        many = len(free) > 1 and self.solution.certificate.uniqueness  # all slips of one contact are found
+        return f"{named(self.problem, free)} {IN_SPACE}" if many else None
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.
@@ -411,7 +402,7 @@ class Linearised:
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
         choices = [self.borders.choices(int(i)) for i in self.undecided]
-        if number_of_combinations(choices) > MOST_COMBINATIONS:
+        if number_of_combinations(choices) > border_states.MOST_COMBINATIONS:
             raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
         holding: list[Rates] = []
         for status in combinations_at(self.undecided, choices, self.status):
@@ -435,14 +426,16 @@ class Linearised:
         """Yield systems in which some contacts in space begin to slip along their friction, by Newton's method."""
         held = status.copy()
         held[begins] = STICK
-        for rates in self.borders.starts(self._in_states(self._system(held), direction), begins):
-            for _ in range(MOST_TURNS):
+        system = self._system(held)
+        moved = [self._in_states(system, unit) for unit in self.borders.unit_slips(begins)]
+        for rates in self.borders.starts(self._in_states(system, direction), moved, begins):
+            for _ in range(border_states.MOST_TURNS):
                 system, before = self._system(status, rates), rates.slip[begins]
                 rates = self._in_states(system, direction)
                 changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
                 if not (system.regular and np.all(size > 0)):
                     break
-                if np.all(changed <= TURNS_NO_MORE * size):
+                if np.all(changed <= border_states.TURNS_NO_MORE * size):
                     yield system
                     break
 
@@ -482,7 +475,7 @@ class Linearised:
             turns, whole = self.scales.of("gap", sign * rates.gap), self.scales.largest(rates)
             members = self._touching[turns[self._touching] <= SAME * whole]
             moved = abs(self.problem.normal) @ abs(rates.displacement)
-            rounded = (abs(rates.gap) <= RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
+            rounded = (abs(rates.gap) <= border_states.RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
             gap = np.where(rounded, 0.0, sign * rates.gap)
             yield Sharing(self.problem, members, self.scales.units).reach(self._resultant, sign * rates.reaction)
             apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)
