@@ -181,7 +181,7 @@ def _from_solution(
     error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
     one_by_one = unique.forces and pushed > 0
-    own = abs(change) + (_left_of_forces(problem, held) if unique.forces else 0.0)
+    own = abs(change) + (_left_of_forces(problem, held, np.sqrt(8 * wide)) if unique.forces else 0.0)
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
@@ -205,35 +205,53 @@ def _from_solution(
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
 
 
-def _left_of_forces(problem: ContactProblem, held: ClosedState) -> Vector:
-    """Bound the change of the closed contacts' forces that balances a solution's residual (m,) [force].
+def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float) -> Vector:
+    """Bound the distance of the closed contacts' forces from the true ones (m,) [force].
 
-    Its residual is nothing beside the largest forces of the problem; beside those of contacts on unknowns that nothing
-    stiff reaches it may be more.
+    Let v move closed row i by one and no other closed row. Equilibrium of the solution, to its residual r, and of the
+    truth, which is within the distance |U - u*|_K, along v gives
+
+        |L_i - L*_i| <= |r|'|v| + |v|_K |U - u*|_K
+
+    The first is nothing beside the largest forces of the problem, and the second beside the largest strain; beside what
+    acts on soft parts they may be more.
     """
     left, closed = np.zeros(problem.contacts), np.flatnonzero(held.closed)
     if not len(closed):
         return left
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
     residual, taken = abs(held.left.force.double()), np.zeros(rows.shape[0])
-    # Rows that have an unknown for themselves, alone: their forces follow from it one by one.
+    # Rows of one unknown each take up what acts there, other rows what acts on the other unknowns.
     alone, unknown = rows_alone(rows)
-    taken[alone] = residual[unknown] / abs(rows.data[rows.indptr[alone]])
-    others = np.delete(np.arange(rows.shape[0]), alone)
-    taken[others] = _taken_by(rows[others], residual)
+    others, free = np.delete(np.arange(rows.shape[0]), alone), np.delete(np.arange(problem.dimension), unknown)
+    stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
+    taken[others] = _taken_by(rows[others][:, free], residual[free], stiffness, distance)
+    here = residual[unknown] + np.sqrt(problem.diagonal[unknown]) * distance
+    shared = abs(rows[others][:, unknown]).T @ taken[others]
+    taken[alone] = (here + shared) / abs(rows.data[rows.indptr[alone]])
     left[closed] = CAUTION * taken[: len(closed)]
     return left
 
 
-def _taken_by(rows: Any, residual: Vector) -> Vector:
-    """Bound the forces on rows (a,) that balance residuals of at most these sizes (n,); zero where rows are many."""
+def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Vector:
+    """Bound |r|'|v| + |v|_K d for a motion v of each row (a,), residuals r and a distance d; zero if rows are many.
+
+    Parameters
+    ----------
+    rows : (a, n) sparse array
+    residual : (n,) array [force], their sizes
+    stiffness : (n, n) sparse array K
+    distance : float [square root of energy]
+    """
     touched, none = np.flatnonzero(np.bincount(rows.indices)), np.zeros(rows.shape[0])
     if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
         return none
     entries = rows[:, touched].toarray()
     if not (np.all(np.isfinite(entries)) and np.all(np.isfinite(residual[touched]))):
         return none
-    return np.asarray(abs(np.linalg.pinv(entries.T)) @ residual[touched])
+    motions = np.linalg.pinv(entries)
+    energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
+    return np.asarray(abs(motions).T @ residual[touched] + np.sqrt(np.maximum(energy, 0.0)) * distance)
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:

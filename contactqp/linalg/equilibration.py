@@ -417,7 +417,7 @@ def nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
 
 
 def rows_alone(rows: Any) -> tuple[Indices, Indices]:
-    """Return the rows that have one entry and an unknown for themselves, and these unknowns."""
+    """Return the rows of one entry whose unknown no other such row has, and these unknowns."""
     single = np.flatnonzero(np.diff(rows.indptr) == 1)
     single = single[rows.data[rows.indptr[single]] != 0]
     unknown = rows.indices[rows.indptr[single]]

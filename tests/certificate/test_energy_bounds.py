@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from benchmarks.judging import exact_truth
 from contactqp.certificate.bounds import failed_errors
 from contactqp.certificate.energy_bounds import (
     REACH,
@@ -258,3 +259,60 @@ def test_the_rounding_of_a_rigid_motion_is_no_negative_energy(shift: float) -> N
     straight = np.full(n, shift)
     assert energy_bounds(chain, Answer(straight, np.zeros(n), None, np.zeros(1))).energy_bounds is not None
     assert cq.solve(chain, condense=False).certificate.proven
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_forces_on_soft_parts_are_bounded_beside_stiff_ones(seed: int) -> None:
+    """The contact carries its load exactly and nothing else is strained: the force is the load, however soft the body.
+
+    The solution that an answer is compared with is found to a part of the largest strain of the problem, which may
+    strain the soft springs by more than the force on them.
+    """
+    rng, bounded = np.random.default_rng(seed), 0
+    for _ in range(8):
+        soft, push = 2.0 ** rng.integers(-62, -36), 2.0 ** rng.integers(-55, -25)
+        K = np.zeros((3, 3))
+        K[0, 0], K[1:, 1:] = 1.0, soft * np.array([[1.0, -1.0], [-1.0, 1.5]])
+        problem = cq.ContactProblem(K, [1.0, push, 0.0], [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 1e8])
+        moved = rng.choice([-1.0, 1.0]) * 10.0 ** rng.integers(-2, 6)
+        spoiled = push * rng.choice([0.9, 0.99, 1.0, 1.01, 1.1])
+        answer = Answer(np.array([1.0, 0.0, moved]), np.array([spoiled, 0.0]), None, np.zeros(0))
+        bound = energy_bounds(problem, answer).force_bound
+        if bound is not None:
+            bounded += 1
+            assert bound[0] >= abs(spoiled - push) * (1 - 1e-12)
+    assert bounded >= 4
+
+
+@pytest.mark.slow
+def test_forces_of_programs_are_bounded_contact_by_contact() -> None:
+    """Stiffness over sixteen decades, rows that share unknowns, ties: each force against that in rational numbers."""
+    compared = 0
+    for seed in range(400):
+        rng = np.random.default_rng([7, seed])
+        n, m = int(rng.integers(3, 8)), int(rng.integers(1, 4))
+        B = rng.integers(-2, 3, (n, n)) * (rng.random((n, n)) < 0.5)
+        scale = 2.0 ** rng.integers(-28, 1, n)
+        E = rng.integers(-2, 3, (m, n)) * (rng.random((m, n)) < 0.5)
+        gap = np.where(rng.random(m) < 0.6, 0.0, rng.integers(0, 3, m))
+        load = np.ldexp(rng.integers(-8, 9, n).astype(float), rng.integers(-30, 1, n)) * (rng.random(n) < 0.7)
+        A = rng.integers(-1, 2, (int(rng.random() < 0.3), n))
+        if not (E.any(axis=1).all() and A.any(axis=1).all()):
+            continue
+        K = scale[:, None] * (B.T @ B) * scale
+        problem = cq.ContactProblem(K, load, E, gap, tie=A, tie_value=np.zeros(len(A)))
+        truth, _ = exact_truth(problem, None)
+        if truth is None or not truth.unique_forces:
+            continue
+        u, force = truth.rounded()
+        for size in (1e-6, 1e-2):
+            spoiled = force * (1 + size * rng.normal(size=m))
+            answer = Answer(u + size * rng.normal(size=n), spoiled, None, np.asarray(truth.tie_force, dtype=float))
+            bound = energy_bounds(problem, answer).force_bound
+            if bound is None:
+                continue
+            exact = [Fraction(int(one.p), int(one.q)) for one in truth.force]
+            error = [abs(Fraction(one) - true) for one, true in zip(spoiled.tolist(), exact, strict=True)]
+            assert np.all(bound >= np.array(error, dtype=float) * (1 - 1e-12)), seed
+            compared += 1
+    assert compared > 300
