@@ -110,7 +110,8 @@ class ActingRows:
         """Return a solution of the whole problem as one on the acting rows, with its verdict."""
         violations = solution.certificate.violations
         if violations is not None:
-            violations = replace(violations, slip_measure=violations.slip_measure[self.contacts])
+            names = ("slip_measure", "gap_measure", "force_measure")
+            violations = replace(violations, **{name: getattr(violations, name)[self.contacts] for name in names})
         certificate = replace(solution.certificate, violations=violations)
         status = solution.contact_status[self.contacts]
         return replace(self.start(solution), contact_status=status, certificate=certificate)
