@@ -1,7 +1,7 @@
 """Hold derivatives against exact rational ones, and say what they and many load cases cost.
 
-    python -m benchmarks.derivatives                     # 10 000 derivatives and more, some minutes
-    python -m benchmarks.derivatives --problems 2        # a first look
+    python -m benchmarks.derivatives                     # 10 000 derivatives and more, five minutes
+    python -m benchmarks.derivatives --problems 8        # twice as many
     python -m benchmarks.derivatives --cost              # what a gradient and a thousand loads cost
 
 Families of `silently_wrong` and, in the plane, of `friction_random`, problems of up to 24 unknowns, contacts and ties,
@@ -242,30 +242,41 @@ def survey(problems: int) -> int:
     makers = {name: lambda seed, name=name: family(name, seed) for name in FAMILIES}
     makers |= {f"friction: {name}": lambda seed, name=name: contact_problem(name, seed).problem
                for name, kind in CONTACT_FAMILIES.items() if kind[0] == 2}  # fmt: skip
-    whole, wrong = Counter[str](), 0
-    print(f"{'family':40s}{'compared':>9s}{'kinks':>7s}{'bounds':>8s}{'none':>6s}{'worst':>9s}{'wrong':>7s}")
-    for name, make in makers.items():
-        tally = Tally()
-        for seed in range(problems):
-            try:
-                problem = make(seed)
-            except cq.ContactQPError:
-                continue
-            if problem.dimension + problem.contacts + problem.ties > LARGEST or problem.rigid_change > 0:
-                continue
-            for force in UNITS:
-                changed = in_units(problem, force, UNITS[(UNITS.index(force) + seed) % 3])
-                compare(tally, f"{name} {seed} {force:.0e}", changed, np.random.default_rng(seed))
-        whole += tally.counts
-        wrong += len(tally.wrong)
-        if tally.counts["compared"]:
-            none = sum(count for what, count in tally.counts.items() if what.startswith("none"))
-            print(f"{name:40s}{tally.counts['compared']:9d}{tally.counts['kinks']:7d}{tally.counts['bounds']:8d}"
-                  f"{none:6d}{tally.worst:9.1e}{len(tally.wrong):7d}", flush=True)  # fmt: skip
-        for message in tally.wrong[:3]:
-            print(f"    {message}")
-    print(", ".join(f"{what} {count}" for what, count in sorted(whole.items())), f"wrong {wrong}", sep=", ")
+    whole, wrong, started = Counter[str](), 0, time.perf_counter()
+    print(
+        f"{'family':40s}{'compared':>9s}{'kinks':>7s}{'bounds':>8s}{'none':>6s}{'worst':>9s}{'wrong':>7s}{'so far':>9s}"
+    )
+    try:
+        for name, make in makers.items():
+            tally = _of_family(name, make, problems)
+            whole += tally.counts
+            wrong += len(tally.wrong)
+            if tally.counts["compared"]:
+                none = sum(count for what, count in tally.counts.items() if what.startswith("none"))
+                print(f"{name:40s}{tally.counts['compared']:9d}{tally.counts['kinks']:7d}{tally.counts['bounds']:8d}"
+                      f"{none:6d}{tally.worst:9.1e}{len(tally.wrong):7d}{whole['compared']:9d}", flush=True)  # fmt: skip
+            for message in tally.wrong[:3]:
+                print(f"    {message}")
+    finally:  # of those so far, where it is interrupted
+        print(", ".join(f"{what} {count}" for what, count in sorted(whole.items())), f"wrong {wrong}", sep=", ")
+        print(f"{time.perf_counter() - started:.0f} s, {time.process_time():.0f} s of the processor")
     return wrong
+
+
+def _of_family(name: str, make: Any, problems: int) -> Tally:
+    """Compare the derivatives of some problems of a family, each in three units."""
+    tally = Tally()
+    for seed in range(problems):
+        try:
+            problem = make(seed)
+        except cq.ContactQPError:
+            continue
+        if problem.dimension + problem.contacts + problem.ties > LARGEST or problem.rigid_change > 0:
+            continue
+        for force in UNITS:
+            changed = in_units(problem, force, UNITS[(UNITS.index(force) + seed) % 3])
+            compare(tally, f"{name} {seed} {force:.0e}", changed, np.random.default_rng(seed))
+    return tally
 
 
 def _cost_with_friction(unknowns: int, cases: int, floats: bool) -> None:
@@ -342,7 +353,7 @@ def cost(unknowns: int, cases: int) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", type=int, default=8, help="of each family, each in three units")
+    parser.add_argument("--problems", type=int, default=4, help="of each family, each in three units")
     parser.add_argument("--cost", action="store_true", help="what gradients and load cases cost, and nothing else")
     parser.add_argument("--unknowns", type=int, default=30_000)
     parser.add_argument("--cases", type=int, default=1000)

@@ -14,7 +14,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.gradients import energy_of_rates, gradient, idle_ties, rate_of_energy, value_of
+from contactqp.analysis.friction_events import falls
+from contactqp.analysis.gradients import (
+    Bounded,
+    Estimate,
+    energy_of_rates,
+    gradient,
+    on_entries,
+    rate_of_energy,
+    value_of,
+)
 from contactqp.analysis.rate_data import FREE, REDUNDANT, VECTORS, Direction, NoRates, Rates, errors_of
 from contactqp.analysis.rate_systems import SAME
 from contactqp.analysis.rates import Linearised
@@ -26,7 +35,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import EPS, Vector, own_floating_point, zero_beneath
+from contactqp.model.arrays import EPS, Array, Vector, own_floating_point, zero_beneath
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
 
@@ -40,7 +49,7 @@ SYMMETRIC = 1e-12
 IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
 UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
 SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
-NEVER_CLOSES = "along rows, rates of gaps that never close have none"
+NEVER_CLOSES = "gradients of gaps and slips of contacts that never close have none"
 GRAZES = "bodies are free to move, and where they go decides on what grazes them"
 UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
@@ -113,9 +122,8 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
         given = read_direction(solution, solution.normal_force, with_respect_to, direction)
         if why := rows.without_answer(with_respect_to, getattr(given, with_respect_to)):
             return Derivative(None, None, None, False, reason=why)
-        if rows.feels(with_respect_to, getattr(given, with_respect_to)):
-            return _on_acting(rows, solution, of, with_respect_to, given)
-    linearised = Linearised(solution)
+        return _on_acting(rows, solution, of, with_respect_to, given)
+    linearised = _linearised(solution)
     return _along(
         linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
     )
@@ -132,7 +140,8 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
     of, with_respect_to : str
         Names of `derivative`.
     return_bound : bool
-        Whether to return a pair, the matrix and what its entries may be off by, as `Derivative.bound`.
+        Whether to return a pair (`Bounded`), the matrix and what its entries may be off by, as `Derivative.bound`,
+        None with a `bound_reason` where one of its rows or columns has none.
 
     Raises
     ------
@@ -140,38 +149,29 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
         A derivative does not exist: the message says why. Stiffness and rows have `pullback` and `derivative` alone.
     """
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
-    if of not in ("gap", "slip") and (acting := _acting(solution, with_respect_to)) and acting.feels(with_respect_to):
+    acting = _acting(solution)
+    if acting is not None and of not in ("gap", "slip") and not acting.without_answer(with_respect_to):
         return _jacobian_on_acting(acting, solution, (of, with_respect_to), return_bound)
-    size, linearised = np.size(getattr(solution.problem, with_respect_to)), Linearised(solution)
-    rows = np.size(value_of(solution, of))
-    adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
-    if adjoint and _why_not(linearised, of, with_respect_to) is None:
-        weights, bounded = np.eye(rows), return_bound and _may_be_bounded(linearised)
-        shape = np.shape(value_of(solution, of))
-        found = [gradient(linearised, of, one.reshape(shape), with_respect_to, bounded) for one in weights]
-        pairs = [(one.value, one.error) for one in found]
-        return _matrix(pairs, (rows, size), return_bound)
-    pairs = []
-    for unit in np.eye(size):
-        direction = unit.reshape(np.shape(getattr(solution.problem, with_respect_to)))
-        along = _along(
-            linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
-        )
+    parameter = getattr(solution.problem, with_respect_to)
+    size, rows = np.size(parameter), np.size(value_of(solution, of))
+    if acting is None:
+        linearised = _linearised(solution)
+        adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
+        if adjoint and _why_not(linearised, of, with_respect_to) is None:
+            bounded, shape = return_bound and _may_be_bounded(linearised), np.shape(value_of(solution, of))
+            weights = (one.reshape(shape) for one in np.eye(rows))
+            found = [gradient(linearised, of, one, with_respect_to, bounded) for one in weights]
+            reasons = [_why_unbounded(linearised, one.error) if return_bound else "" for one in found]
+            pair = Bounded.of_rows([(one.value, one.error) for one in found], reasons, (rows, size))
+            return pair if return_bound else pair[0]
+    columns = [derivative(solution, of, with_respect_to, unit.reshape(np.shape(parameter))) for unit in np.eye(size)]
+    for along in columns:
         if along.value is None:
             raise InvalidProblem(f"jacobian of {of} with respect to {with_respect_to}: {along.reason}")
-        pairs.append((along.value, along.bound))
-    matrix = _matrix(pairs, (size, rows), return_bound)
-    return tuple(None if one is None else one.T for one in matrix) if return_bound else matrix.T
-
-
-def _matrix(rows: list[tuple[Any, Any]], shape: tuple[int, int], return_bound: bool) -> Any:
-    """Return the matrix of some rows, and that of their bounds, None where one is not known, if these are asked for."""
-    values, bounds = ([one[k] for one in rows] for k in (0, 1))
-    matrix = np.array([np.ravel(one) for one in values]).reshape(shape)
-    if not return_bound:
-        return matrix
-    unknown = any(one is None for one in bounds)
-    return matrix, None if unknown else np.array([np.ravel(one) for one in bounds]).reshape(shape)
+    pairs, reasons = [(one.value, one.bound) for one in columns], [one.bound_reason for one in columns]
+    matrix, bound = (pair := Bounded.of_rows(pairs, reasons, (size, rows)))
+    whole = Bounded.of(matrix.T, None if bound is None else bound.T, pair.bound_reason)
+    return whole if return_bound else whole[0]
 
 
 @checked
@@ -192,8 +192,9 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     with_respect_to : str
         The parameter, a name of `derivative`'s `with_respect_to`.
     return_bound : bool
-        Whether to return a pair, the gradient and what its entries may be off by, of the same shape: None as
-        `Derivative.bound` is, and where contacts are too many to condense. An answer with friction is proven for it.
+        Whether to return a pair (`Bounded`), the gradient and what its entries may be off by, of the same shape: None
+        with a `bound_reason` where `Derivative.bound` is, and where contacts are too many to condense. An answer with
+        friction is proven for it.
 
     Raises
     ------
@@ -205,13 +206,12 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     given = read_array("weights", weights)
     if given.shape != expected or not np.all(np.isfinite(given)):
         raise InvalidProblem(f"weights: expected finite numbers in the shape {expected} of {of}, got {shown(weights)}")
-    if (rows := _acting(solution, with_respect_to)) is not None and rows.feels(with_respect_to):
-        unseen = of in ("gap", "slip") and np.any(given != rows.spread(of, rows.part(of, given)))
-        if not unseen:
-            pair = pullback(_ON_ACTING[solution], of, rows.part(of, given), with_respect_to, True)
-            whole = [None if one is None else read_only(rows.spread(with_respect_to, one)) for one in pair]
-            return tuple(whole) if return_bound else whole[0]
-    linearised = Linearised(solution)
+    if (rows := _acting(solution)) is not None:
+        if why := rows.without_answer(with_respect_to):
+            raise InvalidProblem(f"pullback: {why}")
+        found_on = _pullback_on_acting(rows, solution, of, given, with_respect_to)
+        return found_on if return_bound else found_on[0]
+    linearised = _linearised(solution)
     reason = _why_not(linearised, of, with_respect_to)
     if with_respect_to == "friction":
         reason = reason or linearised.borders.without_direction(np.ones(solution.problem.contacts))
@@ -219,22 +219,24 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
         raise InvalidProblem(f"pullback: {reason}")
     bounded = return_bound and _may_be_bounded(linearised)
     found = gradient(linearised, of, given, with_respect_to, bounded)
+    if not return_bound:
+        return read_only(found.value)
     bound = None if found.error is None else read_only(found.error)
-    return (read_only(found.value), bound) if return_bound else read_only(found.value)
+    return Bounded.of(read_only(found.value), bound, _why_unbounded(linearised, bound))
 
 
-def _acting(solution: Solution, parameter: str = "") -> ActingRows | None:
-    """Return the rows of an answer's problem that constrain something, None where all do; the others have no part.
+def _linearised(solution: Solution) -> Linearised:
+    """Return an answer and the systems of its rates, which are kept for further derivatives of the same answer."""
+    kept = solution.problem._computed
+    if kept.linearised is None or kept.linearised.solution is not solution:
+        kept.linearised = Linearised(solution)
+    found: Linearised = kept.linearised
+    return found
 
-    Raises InvalidProblem: some entries of the parameter are those of rows that nothing can meet if they change.
-    """
-    problem = solution.problem
-    if parameter == "tie_value" and (idle := idle_ties(problem)).any():
-        name = problem.tie_name(int(np.argmax(idle)))
-        raise InvalidProblem(f"pullback: {name} acts on nothing that moves, and no displacement has its value")
-    rows = acting_rows(problem) if problem.has_idle_rows else None
-    if rows is not None and parameter and (why := rows.without_answer(parameter)):
-        raise InvalidProblem(f"pullback: {why}")
+
+def _acting(solution: Solution) -> ActingRows | None:
+    """Return the rows of an answer's problem that constrain something, None where all do; the others have no part."""
+    rows = acting_rows(solution.problem) if solution.problem.has_idle_rows else None
     if rows is not None and solution not in _ON_ACTING:
         _ON_ACTING[solution] = rows.acting(solution)
     return rows
@@ -249,9 +251,13 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     of, parameter, given : as in `derivative`, and the direction
     """
     reduced = _ON_ACTING[solution]
-    linearised = Linearised(reduced)
+    linearised = _linearised(reduced)
     along = read_direction(reduced, linearised.push, parameter, rows.part(parameter, getattr(given, parameter)))
     found = _along(linearised, of, along, parameter)
+    if found.reach is not None and parameter == "gap":  # a row of zeros whose gap is used up has no answer beyond
+        limits = solution.problem.gap[rows.idle_contacts], given.gap[rows.idle_contacts]
+        back, ahead = (min(falls(limits[0], sign * limits[1]), default=np.inf) for sign in (-1.0, 1.0))
+        found = replace(found, reach=(min(found.reach[0], back), min(found.reach[1], ahead)))
     if found.left is None or of not in (*FORCES, "gap", "slip"):
         return found
     names = ("value", "left", "right", "bound")
@@ -267,18 +273,50 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
         (solution.problem.tangent, -given.slip_origin) if of == "slip" else (-solution.problem.normal, given.whole_gap)
     )
     assert matrix is not None
-    idle = np.ones(len(own), dtype=bool)
-    idle[rows.contacts] = False
+    idle = rows.idle_contacts
     for name, u in (("left", moved.left), ("right", moved.right)):
         parts[name][idle] = (own + (matrix @ u).reshape(own.shape))[idle]
     same = found.exists and (moved.exists or np.array_equal(parts["left"][idle], parts["right"][idle]))
-    if parts["bound"] is None or moved.bound is None or given.rows is not None:
-        parts |= dict(bound=None, bound_reason=found.bound_reason or NEVER_CLOSES)
+    if parts["bound"] is None or moved.bound is None:
+        parts |= dict(bound=None, bound_reason=found.bound_reason or moved.bound_reason)
     else:
         size = abs(own) + (abs(matrix) @ np.maximum(abs(moved.left), abs(moved.right))).reshape(own.shape)
-        off = (abs(matrix) @ moved.bound).reshape(own.shape) + EPS * (solution.problem.dimension + 3) * size
-        parts["bound"][idle] = off[idle]
+        off = (abs(matrix) @ moved.bound).reshape(own.shape)
+        if given.rows is not None and of == "gap":  # its own change is a product with the answer
+            known = linearised.extended_answer
+            assert known is not None
+            assert known.bound is not None
+            off = off + abs(given.rows) @ known.bound.displacement
+            size = size + abs(given.rows) @ abs(solution.displacement)
+        parts["bound"][idle] = (off + EPS * (solution.problem.dimension + 3) * size)[idle]
     return replace(found, **(parts | dict(value=parts["right"] if same else None, exists=same)))
+
+
+def _pullback_on_acting(rows: ActingRows, solution: Solution, of: str, weights: Array, parameter: str) -> Bounded:
+    """Return the gradient of an answer with rows that constrain nothing, with its bound, from those on the others.
+
+    A gap or slip there changes by its own data and by the displacement: its weights are those of the displacement, too.
+    """
+    reduced, idle = _ON_ACTING[solution], rows.idle_contacts
+    pair = pullback(reduced, of, rows.part(of, weights), parameter, True)
+    whole = [None if one is None else rows.spread(parameter, one) for one in pair]
+    if of not in ("gap", "slip") or not np.any(weights[idle]):
+        value, bound = (None if one is None else read_only(one) for one in whole)
+        return Bounded.of(value, bound, pair.bound_reason)
+    problem, seen = solution.problem, weights.copy()
+    seen[rows.contacts] = 0.0
+    matrix = problem.tangent if of == "slip" else -problem.normal
+    assert matrix is not None
+    gradient_of_moved = pullback(reduced, "displacement", matrix.T @ seen.ravel(), parameter)
+    value = whole[0] + rows.spread(parameter, gradient_of_moved)
+    if (of, parameter) in (("gap", "gap"), ("slip", "slip_origin")):
+        value = value + (seen if of == "gap" else -seen)
+    elif (of, parameter) == ("gap", "rows"):
+        value = (
+            value
+            + on_entries(problem.normal, ((Estimate.exactly(-seen), Estimate.exactly(solution.displacement)),)).value
+        )
+    return Bounded.of(read_only(value), None, NEVER_CLOSES)
 
 
 def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, str], return_bound: bool) -> Any:
@@ -286,13 +324,13 @@ def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, 
     wholes = value_of(solution, names[0]), getattr(solution.problem, names[1])
     counted = (np.arange(np.size(one)).reshape(np.shape(one)) for one in wholes)
     places = [rows.part(name, one).ravel() for name, one in zip(names, counted, strict=True)]
-    whole = []
-    for one in jacobian(_ON_ACTING[solution], *names, return_bound=True):
+    whole, pair = [], jacobian(_ON_ACTING[solution], *names, return_bound=True)
+    for one in pair:
         matrix = np.zeros([np.size(one) for one in wholes])
         if one is not None:
             matrix[np.ix_(*places)] = one
         whole.append(None if one is None else matrix)
-    return tuple(whole) if return_bound else whole[0]
+    return Bounded.of(whole[0], whole[1], pair.bound_reason) if return_bound else whole[0]
 
 
 def _may_be_bounded(linearised: Linearised) -> bool:
@@ -308,7 +346,7 @@ def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> 
         reasons = linearised.solution.certificate.reasons
         return "the answer is not proven" + (f": {reasons[0]}" if reasons else "")
     if linearised.is_sparse:
-        return "bounds follow from condensed contacts, and these are too many, or rows of zeros change"
+        return "bounds follow from condensed contacts, and these are too many"
     if linearised.turns:
         return IN_SPACE if linearised.system is None else UNTOLD
     if linearised.redundant or shared:

@@ -27,6 +27,35 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
 
+class Bounded(tuple[Any, Any]):
+    """A gradient or a Jacobian, and what its entries may be off by; `bound_reason` says why that is None, if it is."""
+
+    bound_reason: str
+
+    @classmethod
+    def of(cls, value: Any, bound: Any, reason: str) -> Bounded:
+        """Return the pair; the reason is kept where there is no bound."""
+        pair = cls((value, bound))
+        pair.bound_reason = reason if bound is None else ""
+        return pair
+
+    @classmethod
+    def of_rows(cls, rows: list[tuple[Any, Any]], reasons: list[str], shape: tuple[int, int]) -> Bounded:
+        """Return a matrix and that of its bounds, None where a row has none.
+
+        Parameters
+        ----------
+        rows : each with its bound
+        reasons : why these have none, empty where they have
+        shape : of the matrix, which may have no rows
+        """
+        values, bounds = ([one[k] for one in rows] for k in (0, 1))
+        matrix = np.array([np.ravel(one) for one in values]).reshape(shape)
+        if any(one is None for one in bounds):
+            return cls.of(matrix, None, next(filter(None, reasons), ""))
+        return cls.of(matrix, np.array([np.ravel(one) for one in bounds]).reshape(shape), "")
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """An array, and what its entries may be off by, entry by entry; None where that is not asked for or not known."""

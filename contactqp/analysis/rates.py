@@ -98,10 +98,7 @@ class Linearised:
         # What is not condensed as it stands: contacts that never close, and rows of zeros, constrain nothing.
         self.is_sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
         if self.is_sparse and problem.frictional:
-            raise Unsupported(
-                "derivatives: with friction, of contacts that are condensed alone; leave out those that never close, "
-                "and rows of zeros"
-            )
+            raise Unsupported("derivatives: with friction, of contacts that are condensed alone")
         self._decide()
         self.undecided = np.union1d(self.grazing, self._at_bound).astype(np.intp)
         answer, certificate = self.solution, self.solution.certificate

@@ -137,34 +137,28 @@ class ActingRows:
             return sp.csr_array((entries, whole.indices, whole.indptr), shape=whole.shape)
         return self.normal(values) if name in _BY_CONTACT else values
 
-    def feels(self, name: str, values: Any = None) -> bool:
-        """Return whether the acting rows alone feel a parameter along a direction, or by all entries that it has.
-
-        What never closes has no part in it; what a row of zeros says of its gap or value, and its own change, has.
-        """
-        if name == "tie_value":
-            others = _others(self.whole.ties, self.ties)
-            return not others.size if values is None else not np.any(values[others])
-        if name != "gap" and (name != "rows" or values is None):
-            return True
-        others = _others(self.whole.contacts, self.contacts)
-        others = others[np.isfinite(self.whole.gap[others])]
-        return name == "rows" or values is None or not np.any(values[others])
+    @property
+    def idle_contacts(self) -> Indices:
+        """Return the contacts that constrain nothing."""
+        return _others(self.whole.contacts, self.contacts)
 
     def without_answer(self, name: str, values: Any = None) -> str:
-        """Return why there is no answer towards a side: a row of zeros has no gap, which would change, or its row.
+        """Return why there is no answer towards a side, or empty: a row of zeros is met no more if its data change.
 
         Parameters
         ----------
         name, values : a parameter, and a direction of it, all of its entries where that is None
         """
-        others = _others(self.whole.contacts, self.contacts)
-        others = others[self.whole.gap[others] <= 0]
-        if name not in ("gap", "rows") or (name == "rows" and values is None):
+        idle, called = self.idle_contacts, self.whole.contact_name
+        idle = idle[self.whole.gap[idle] <= 0]
+        text = "has no gap: towards a side there is no answer near this one"
+        if name == "tie_value":
+            idle, called = _others(self.whole.ties, self.ties), self.whole.tie_name
+            text = "no displacement has its value: towards a side there is no answer"
+        elif name not in ("gap", "rows") or (name == "rows" and values is None):
             return ""
-        touched = [i for i in others.tolist() if values is None or abs(values[[i]]).sum() > 0]
-        text = "acts on nothing that moves and has no gap: towards a side there is no answer near this one"
-        return f"{self.whole.contact_name(touched[0])} {text}" if touched else ""
+        touched = [i for i in idle.tolist() if values is None or abs(values[[i]]).sum() > 0]
+        return f"{called(touched[0])} acts on nothing that moves and {text}" if touched else ""
 
     def solution(self, found: Any) -> Any:
         """Return a solution on the acting rows as one of the whole problem."""

@@ -81,5 +81,6 @@ class Computed:
     judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
     judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
     of_answer: OfAnswer = field(default_factory=OfAnswer)
+    linearised: Any = None  # analysis.derivatives: the last answer whose derivatives were asked for, and its systems
     contact_operator: Any = None  # solving.friction.contact_form
     held_against: Any = None  # oracle.foreign.judging: right answers that answers to the last problem are held against

@@ -135,6 +135,11 @@ def test_why_there_is_no_bound_is_said() -> None:
     )
     at_bound = cq.solve(block).derivative("displacement", "load", [1.0, 0.0, 0.0])
     assert (at_bound.bound, at_bound.bound_reason) == (None, derivatives.IN_SPACE)
-    never = cq.ContactProblem([[2.0]], [4.0], [[1.0], [0.0]], [1.0, 1.0])
-    assert "condensed" in cq.solve(never).derivative("displacement", "gap", [0.0, 1.0]).bound_reason
+    pair = walls.pullback("displacement", [1.0], "load", return_bound=True)
+    assert (pair[1] is None) == bool(pair.bound_reason)
+    never = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [1.0]], [1.0, np.inf]))
+    pair = never.pullback("gap", [0.0, 1.0], "load", return_bound=True)
+    assert (pair[0], pair[1], pair.bound_reason) == ([0.0], None, derivatives.NEVER_CLOSES)
+    matrix = never.jacobian("gap", "load", return_bound=True)
+    assert (matrix.bound_reason, matrix[1].shape) == ("", (2, 1))
     assert walls.derivative("displacement", "load", [1.0]).bound_reason == ""

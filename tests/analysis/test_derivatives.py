@@ -329,8 +329,9 @@ def test_contacts_that_never_close_and_rows_of_zeros_change_nothing() -> None:
         K, load, np.eye(2), [1.0, np.inf], tangent=[[0.0, 1.0], [1.0, 0.0]], friction=0.3))  # fmt: skip
     # l' = 1 + u', of what slips 2 u' = -0.3 l'.
     assert rough.derivative("normal_force", "load", [1.0, 0.0]).value == pytest.approx([1 / 1.15, 0.0])
-    with pytest.raises(cq.Unsupported, match="leave out those that never close"):  # beside what acts
-        rough.jacobian("gap", "load")
+    moved = rough.jacobian("displacement", "load")
+    assert rough.jacobian("gap", "load") == pytest.approx(-moved)
+    assert rough.jacobian("slip", "load") == pytest.approx(moved[::-1])
 
 
 def test_gaps_of_bodies_that_are_free_to_move_are_not_unique() -> None:

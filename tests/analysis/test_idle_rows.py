@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,37 @@ def test_derivatives_and_gradients_are_those_of_what_acts(rough: bool) -> None:
                 matrix, apart = whole.jacobian(of, parameter, return_bound=True)
                 assert matrix @ np.ravel(direction) == pytest.approx(np.ravel(found.value), rel=1e-10, abs=1e-12)
                 assert apart.shape == matrix.shape
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_gradients_and_jacobians_of_gaps_and_slips_there_are_those_of_derivatives(rough: bool) -> None:
+    """With weights on what never closes and on a row of zeros, whose gap may change, too."""
+    whole = cq.solve(pair(rough)[1])
+    for of in ("gap", "slip") if rough else ("gap",):
+        for parameter, direction in directions(whole.problem).items():
+            if parameter == "tie_value":
+                continue
+            if parameter == "gap":
+                direction[3] = 0.5
+            found = whole.derivative(of, parameter, direction)
+            weights = np.resize([1.0, -2.0, 0.5, 3.0], np.shape(found.value))
+            gradient = whole.pullback(of, weights, parameter)
+            gradient = gradient.toarray() if sp.issparse(gradient) else gradient
+            along = direction * (whole.problem.normal.toarray() != 0) if parameter == "rows" else direction
+            rate = whole.derivative(of, parameter, along) if parameter == "rows" else found
+            assert np.sum(gradient * along) == pytest.approx(np.sum(weights * rate.value), rel=1e-10)
+            if parameter not in ("stiffness", "rows"):
+                matrix, bound = whole.jacobian(of, parameter, return_bound=True)
+                assert matrix @ np.ravel(direction) == pytest.approx(np.ravel(found.value), rel=1e-10, abs=1e-12)
+                assert np.all(bound <= 1e-13 * np.max(abs(matrix)))
+            if not rough:
+                far = whole.problem.replace(gap=np.where(np.isfinite(whole.problem.gap), whole.problem.gap, 2.0**40))
+                true = cq.exact(far).derivative(of, parameter, direction)
+                assert all(abs(Fraction(float(x)) - y) <= Fraction(float(bound)) for x, y, bound in zip(
+                    found.value, true.value, found.bound, strict=True))  # fmt: skip
+                assert found.reach is None or np.minimum(found.reach, 2.0**30) == pytest.approx(
+                    [min(float(step), 2.0**30) for step in true.reach]
+                )
 
 
 @pytest.mark.parametrize("rough", [False, True])
