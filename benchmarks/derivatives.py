@@ -253,8 +253,9 @@ def survey(problems: int) -> int:
             wrong += len(tally.wrong)
             if tally.counts["compared"]:
                 none = sum(count for what, count in tally.counts.items() if what.startswith("none"))
-                print(f"{name:40s}{tally.counts['compared']:9d}{tally.counts['kinks']:7d}{tally.counts['bounds']:8d}"
-                      f"{none:6d}{tally.worst:9.1e}{len(tally.wrong):7d}{whole['compared']:9d}", flush=True)  # fmt: skip
+                compared, kinks, bounds = (tally.counts[what] for what in ("compared", "kinks", "bounds"))
+                print(f"{name:40s}{compared:9d}{kinks:7d}{bounds:8d}{none:6d}{tally.worst:9.1e}{len(tally.wrong):7d}"
+                      f"{whole['compared']:9d}", flush=True)  # fmt: skip
             for message in tally.wrong[:3]:
                 print(f"    {message}")
     finally:  # of those so far, where it is interrupted
