@@ -178,10 +178,12 @@ def _from_solution(
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
     rounded = max(float(solution.normal_force @ lengths) * EPS, REACH * least**2)
-    error = distance + np.sqrt(8 * wide) if sees else np.sqrt(2 * above)
+    error = distance + float(np.sqrt(8 * wide))
+    if not sees:
+        error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
     one_by_one = unique.forces and pushed > 0
-    own = abs(change) + (_left_of_forces(problem, held, np.sqrt(8 * wide)) if unique.forces else 0.0)
+    own = abs(change) + (_left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else 0.0)
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),

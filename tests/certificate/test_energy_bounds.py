@@ -316,3 +316,17 @@ def test_forces_of_programs_are_bounded_contact_by_contact() -> None:
             assert np.all(bound >= np.array(error, dtype=float) * (1 - 1e-12)), seed
             compared += 1
     assert compared > 300
+
+
+def test_what_is_left_of_a_solution_is_in_the_distance_from_it() -> None:
+    """A soft spring, found to a part of the largest strain, beside stiff ones and an unknown without stiffness."""
+    stiffness = 2.0 ** np.array([-18, -6, -48, -6])
+    K = np.diag([*stiffness * [1.0, 1.25, 1.0, 1.0], 0.0])
+    E = [[0, 0, 1 / 64, 1 / 32, 0], [0, 16, 0, 0, 8], [0, 0, 0, 0, -1 / 1024]]
+    problem = cq.ContactProblem(K, [24 * stiffness[0], 0, 0, 0, -3], E, [1, 0, 0])
+    moved = np.array([2.6286, 0.01161, 0.79602, -1.36299, -1.20789])
+    answer = Answer(np.array([24.0, 0, 0, 0, 0]) + moved, np.array([0.0, 0.0, 3072.0]), None, np.zeros(0))
+    error = np.sqrt(moved @ K @ moved / (24.0**2 * stiffness[0]))
+    bound = energy_bounds(problem, answer).energy_error
+    assert bound is not None
+    assert error <= bound <= 1.00001 * error
