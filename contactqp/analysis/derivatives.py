@@ -28,7 +28,7 @@ from contactqp.analysis.rate_data import FREE, REDUNDANT, VECTORS, Direction, No
 from contactqp.analysis.rate_systems import SAME
 from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
-from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
@@ -54,11 +54,10 @@ GRAZES = "bodies are free to move, and where they go decides on what grazes them
 UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-
-
 # Whether answers with friction have bounds.
 _PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
-# Answers on the rows that constrain something, of those with others.
+# The rows of answers that constrain something, and answers on these alone, of those with others or with repeated ties.
+_ACTING: WeakKeyDictionary[Solution, ActingRows | None] = WeakKeyDictionary()
 _ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
 
 
@@ -150,7 +149,8 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
     """
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
     acting = _acting(solution)
-    if acting is not None and of not in ("gap", "slip") and not acting.without_answer(with_respect_to):
+    by_columns = of in ("gap", "slip", "tie_force")
+    if acting is not None and not (by_columns or acting.without_answer(with_respect_to)):
         return _jacobian_on_acting(acting, solution, (of, with_respect_to), return_bound)
     parameter = getattr(solution.problem, with_respect_to)
     size, rows = np.size(parameter), np.size(value_of(solution, of))
@@ -207,7 +207,8 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     if given.shape != expected or not np.all(np.isfinite(given)):
         raise InvalidProblem(f"weights: expected finite numbers in the shape {expected} of {of}, got {shown(weights)}")
     if (rows := _acting(solution)) is not None:
-        if why := rows.without_answer(with_respect_to):
+        shared = REDUNDANT if rows.repeats and of == "tie_force" else ""
+        if why := rows.without_answer(with_respect_to) or shared:
             raise InvalidProblem(f"pullback: {why}")
         found_on = _pullback_on_acting(rows, solution, of, given, with_respect_to)
         return found_on if return_bound else found_on[0]
@@ -236,10 +237,11 @@ def _linearised(solution: Solution) -> Linearised:
 
 def _acting(solution: Solution) -> ActingRows | None:
     """Return the rows of an answer's problem that constrain something, None where all do; the others have no part."""
-    rows = acting_rows(solution.problem) if solution.problem.has_idle_rows else None
-    if rows is not None and solution not in _ON_ACTING:
-        _ON_ACTING[solution] = rows.acting(solution)
-    return rows
+    if solution not in _ACTING:
+        _ACTING[solution] = rows = acting_once(solution.problem)
+        if rows is not None:
+            _ON_ACTING[solution] = rows.acting(solution)
+    return _ACTING[solution]
 
 
 def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, given: Direction) -> Derivative:
@@ -250,6 +252,8 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     rows, solution : the rows that act, and the answer
     of, parameter, given : as in `derivative`, and the direction
     """
+    if rows.repeats and of == "tie_force":
+        return Derivative(None, None, None, False, reason=REDUNDANT)
     reduced = _ON_ACTING[solution]
     linearised = _linearised(reduced)
     along = read_direction(reduced, linearised.push, parameter, rows.part(parameter, getattr(given, parameter)))
@@ -408,7 +412,8 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
     reach = None
     if parameter in LINEAR and linearised.has_events:
-        reach = _first(linearised, back, -1.0), _first(linearised, ahead, 1.0)
+        steps = linearised.events(back, -1.0), linearised.events(ahead, 1.0)
+        reach = float(min(steps[0], default=np.inf)), float(min(steps[1], default=np.inf))
     bound = None
     seen = not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
     if seen and _may_be_bounded(linearised):
@@ -436,10 +441,6 @@ def _is_proven(solution: Solution) -> bool:
         found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
         _PROVEN[solution] = found.proven
     return _PROVEN[solution]
-
-
-def _first(linearised: Linearised, rates: Rates, sign: float) -> float:
-    return float(min(linearised.events(rates, sign), default=np.inf))
 
 
 def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:

@@ -464,3 +464,27 @@ def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> C
     posed = problem.replace(tie=sp.csr_array(sp.vstack([problem.tie, *rows])), tie_value=value)
     posed._computed.wider_condensation = problem._computed.condensation
     return posed
+
+
+def repeated(problem: ContactProblem, turn: Any, contacts: Indices, others: Indices) -> Indices:
+    """Return contacts whose row, gap and change of the row are those of another times one number, to the last digit.
+
+    Parameters
+    ----------
+    problem, turn : and the change (m, n) of its rows
+    contacts, others : those asked about, and those that they may repeat
+    """
+
+    def data(i: int) -> Vector:
+        rows = (sp.csr_array(one)[[i]].toarray().ravel() for one in (problem.normal, turn))
+        return np.concatenate([*rows, problem.gap[[i]]])
+
+    found = []
+    for i in contacts:
+        one, place = data(i), int(np.argmax(abs(data(i))))
+        for other in map(data, others):  # products of doubles with their errors are exact
+            left, right = two_product(one, other[place]), two_product(other, one[place])
+            if other[place] != 0 and all(map(np.array_equal, left, right)):
+                found.append(i)
+                break
+    return np.array(found, dtype=np.intp)

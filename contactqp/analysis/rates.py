@@ -37,6 +37,7 @@ from contactqp.analysis.rate_data import (
     Solved,
     closed_on,
     rates_posed,
+    repeated,
     shape_of_tangents,
     slips_across,
     with_reaction,
@@ -391,8 +392,10 @@ class Linearised:
         may = self._touching[abs(turns[self._touching]) <= SAME * whole]
         joining = self._sharing.joining(rates.reaction + turned, carrying, may)
         system = self._system(closed_on(self.problem, np.union1d(carrying, joining).astype(np.intp)))
-        sides = joining, np.setdiff1d(self._touching, system.closed)
-        margin = 0.0 if direction.rows is None else -1.0
+        sides, margin = (joining, np.setdiff1d(self._touching, system.closed)), 0.0
+        if direction.rows is not None:  # what repeats a closed contact, and turns with it, stays closed
+            apart = repeated(self.problem, direction.rows, sides[1], system.closed)
+            sides, margin = (joining, np.setdiff1d(sides[1], apart)), -1.0
         exact = system.where_signs_hold(direction, self.push, known, sides, margin)
         return without if exact is None else replace(exact, status=rates.status, shared=rates.shared)
 

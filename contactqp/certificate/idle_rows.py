@@ -21,7 +21,7 @@ from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.existence import Conflict
-from contactqp.linalg.extended import extend
+from contactqp.linalg.extended import extend, two_product
 from contactqp.linalg.floating import independent_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
@@ -52,12 +52,16 @@ _BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "sli
 
 @dataclass(frozen=True, eq=False)
 class ActingRows:
-    """The contacts and ties whose rows are not zero, and the problem with these alone."""
+    """The contacts and ties whose rows are not zero, and the problem with these alone.
+
+    `repeats` are ties that are left out as they repeat others, with these, where derivatives ask for that.
+    """
 
     whole: ContactProblem
     contacts: Indices
     ties: Indices
     problem: ContactProblem
+    repeats: tuple[tuple[int, int], ...] = ()
 
     @property
     def met(self) -> bool:
@@ -86,8 +90,15 @@ class ActingRows:
 
     def answer(self, answer: Answer) -> Answer:
         """Return the part of an answer that belongs to the acting rows."""
-        friction = None if answer.friction_force is None else answer.friction_force[self.contacts]
-        return Answer(answer.displacement, answer.normal_force[self.contacts], friction, answer.tie_force[self.ties])
+        friction, tie = (
+            None if answer.friction_force is None else answer.friction_force[self.contacts],
+            answer.tie_force,
+        )
+        for other, kept in self.repeats:
+            one, place = _data_of_tie(self.whole, kept)
+            tie = tie.copy()
+            tie[kept] += tie[other] * _data_of_tie(self.whole, other)[0][place] / one[place]
+        return Answer(answer.displacement, answer.normal_force[self.contacts], friction, tie[self.ties])
 
     def whole_answer(self, answer: Answer) -> Answer:
         """Return an answer on the acting rows as one of the whole problem, without force on the other rows."""
@@ -149,11 +160,20 @@ class ActingRows:
         ----------
         name, values : a parameter, and a direction of it, all of its entries where that is None
         """
+        for other, kept in self.repeats if name == "tie_value" else ():
+            changes = np.array([1.0, 0.0]) if values is None else values[[other, kept]]
+            (one, place), row = _data_of_tie(self.whole, kept), _data_of_tie(self.whole, other)[0]
+            if not all(
+                map(np.array_equal, two_product(changes[:1], one[[place]]), two_product(changes[1:], row[[place]]))
+            ):
+                both = f"{self.whole.tie_name(other)} repeats {self.whole.tie_name(kept)}"
+                return f"{both}, and no displacement has the values of both if one changes without the other"
         idle, called = self.idle_contacts, self.whole.contact_name
         idle = idle[self.whole.gap[idle] <= 0]
         text = "has no gap: towards a side there is no answer near this one"
         if name == "tie_value":
-            idle, called = _others(self.whole.ties, self.ties), self.whole.tie_name
+            left_out = [other for other, _ in self.repeats]
+            idle, called = np.setdiff1d(_others(self.whole.ties, self.ties), left_out), self.whole.tie_name
             text = "no displacement has its value: towards a side there is no answer"
         elif name not in ("gap", "rows") or (name == "rows" and values is None):
             return ""
@@ -363,6 +383,40 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
     if problem.load_sum is not None:
         acting = acting.with_load_sum(problem.load, problem.load_size)
     return ActingRows(problem, contacts, ties, acting)
+
+
+def acting_once(problem: ContactProblem) -> ActingRows | None:
+    """Return the rows of a certified problem that act without ties that repeat others, to the last digit of rows and
+    values; None where all do.
+    """
+    rows = acting_rows(problem) if problem.has_idle_rows else None
+    inner = problem if rows is None else rows.problem
+    found = [
+        (i, int(on[0]))
+        for i, on in inner._computed.dependent_ties or ()
+        if len(on) == 1 and _repeats(inner, i, int(on[0]))
+    ]
+    if not found:
+        return rows
+    kept = _others(inner.ties, np.array([i for i, _ in found], dtype=np.intp))
+    reduced = inner.with_ties(kept)
+    reduced._computed.wider_condensation = inner._computed.condensation
+    whole = np.arange(problem.ties) if rows is None else rows.ties
+    contacts = np.arange(problem.contacts) if rows is None else rows.contacts
+    pairs = tuple((int(whole[i]), int(whole[j])) for i, j in found)
+    return ActingRows(problem, contacts, whole[kept], reduced, pairs)
+
+
+def _data_of_tie(problem: ContactProblem, tie: int) -> tuple[Vector, int]:
+    """Return the row of a tie with its value (n + 1,), and the place of the largest entry of the row."""
+    row = problem.tie[[tie]].toarray().ravel()
+    return np.append(row, problem.tie_value[tie]), int(np.argmax(abs(row)))
+
+
+def _repeats(problem: ContactProblem, tie: int, kept: int) -> bool:
+    """Return whether a tie is another one times a number, as products of doubles with their errors tell."""
+    (one, _), (other, place) = _data_of_tie(problem, tie), _data_of_tie(problem, kept)
+    return all(map(np.array_equal, two_product(one, other[place]), two_product(other, one[place])))
 
 
 def _others(count: int, members: Indices) -> Indices:

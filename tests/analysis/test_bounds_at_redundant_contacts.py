@@ -71,6 +71,50 @@ def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not() -> None:
         assert counts[f"{name} none"] <= counts[name] / 4
 
 
+@pytest.mark.parametrize("rough", [False, True])
+def test_ties_that_repeat_leave_the_bounds_of_what_is_unique(rough: bool) -> None:
+    """Twice a tie, with twice its value, whose force is shared: all else is as without it, and against Fractions."""
+    K, direction = np.diag([2.0, 3.0, 4.0]) + 1, np.array([1.0, -2.0, 3.0]) / 3
+    rows = dict(normal=[[0.0, 0.0, 1.0]], gap=[0.5], tangent=[[1.0, 0.0, 0.0]], friction=0.1 if rough else 0.0)
+    tie = np.array([[1.0, 1.0, 0.0]])
+    few = cq.ContactProblem(K, [9.0, 5.0, 4.0], **rows, tie=tie, tie_value=[0.1])
+    twice = cq.solve(few.replace(tie=np.vstack([tie, 2 * tie, np.eye(3)[:0]]), tie_value=[0.1, 0.2]))
+    along = dict(
+        load=direction, gap=[1 / 3], stiffness=np.eye(3), rows=[[0.0, 0.0, 1 / 3]], tie_value=[1 / 3, 2 * (1 / 3)]
+    )
+    for parameter, change in along.items():
+        for of in (*UNIQUE, "normal_force"):
+            found = twice.derivative(of, parameter, change)
+            once = cq.exact(few).derivative(of, parameter, change[:1] if parameter == "tie_value" else change)
+            assert found.value is not None
+            assert all(error <= bound for error, bound in sides(found, once)), (of, parameter)
+            if parameter != "tie_value":
+                weights = np.ones(np.shape(found.value))
+                gradient, bound = twice.pullback(of, weights, parameter, return_bound=True)
+                assert np.sum(gradient * np.asarray(change)) == pytest.approx(np.sum(found.value), abs=1e-13)
+                assert bound is not None
+    assert twice.derivative("tie_force", "load", direction).reason == derivatives.REDUNDANT
+    apart = twice.derivative("displacement", "tie_value", [1.0, 0.0])
+    assert (apart.right, "tie 1 repeats tie 0" in apart.reason) == (None, True)
+    for asked in (("tie_force", np.ones(2), "load"), ("displacement", np.ones(3), "tie_value")):
+        with pytest.raises(cq.InvalidProblem, match=r"repeats|share"):
+            twice.pullback(*asked)
+    nearly = cq.solve(few.replace(tie=np.vstack([tie, 2 * tie]), tie_value=[0.1, np.nextafter(0.2, 1.0)]))
+    assert rough or nearly.derivative("displacement", "load", direction).bound_reason == derivatives.SHARED
+
+
+def test_a_wall_that_repeats_another_and_turns_with_it_keeps_the_bounds() -> None:
+    problem = cq.ContactProblem(np.diag([2.0, 3.0]) + 1, [9.0, 5.0], [[0.1, 0.2], [0.2, 0.4]], [0.25, 0.5])
+    solution, turn = cq.solve(problem), np.array([[1 / 3, -1 / 7], [2 / 3, -2 / 7]])
+    for of in ("displacement", "gap", "energy"):
+        found, true = (one.derivative(of, "rows", turn) for one in (solution, cq.exact(problem)))
+        assert found.value is not None
+        assert all(error <= bound for error, bound in sides(found, true))
+    turn[1, 1] += 2.0**-50
+    other = solution.derivative("displacement", "rows", turn)
+    assert other.bound is None or not np.array_equal(other.left, other.right)
+
+
 def test_gradients_at_contacts_that_share_a_force_in_another_way_exist_with_bounds() -> None:
     """Of three walls two have no force in the sharing that is found and some in others: they do not graze."""
     rows = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
@@ -129,7 +173,12 @@ def test_gaps_that_differ_beneath_doubles_have_no_bound(checked: bool, monkeypat
 def test_why_there_is_no_bound_is_said() -> None:
     walls = cq.solve(cq.ContactProblem([[2.0]], [4.0], [[1.0], [1.0]], [1.0, 1.0]))
     together = walls.derivative("displacement", "rows", [[1.0], [1.0]])
-    assert (together.value, together.bound, together.bound_reason) == ([-1.0], None, derivatives.SHARED)
+    assert together.value == [-1.0]
+    assert together.bound <= 1e-15
+    crossed = cq.ContactProblem(np.diag([2.0, 3.0]), [6.0, 7.0], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [1.0, 1.0, 2.0])
+    turn = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]  # no row repeats another, and the third gap stays closed
+    found = cq.solve(crossed).derivative("displacement", "rows", turn)
+    assert (found.bound, found.bound_reason) == (None, derivatives.SHARED)
     block = cq.ContactProblem(
         np.diag([2.0, 3.0, 5.0]), [3.0, 0.0, -10.0], [[0.0, 0.0, -1.0]], [0.0], np.eye(3)[:2], 0.3
     )
