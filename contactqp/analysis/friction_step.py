@@ -19,15 +19,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.analysis.history import Unfinished
-from contactqp.certificate.balance import balance
 from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotConverged, SeveralEquilibria
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.existence import driven_motion
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.linalg.measures import own_compliance, row_sizes
 from contactqp.model.arrays import EPS, METHOD, POLISH, Array, Mask, Vector, one_blas_thread, stage
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Solution
+from contactqp.model.solution import Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, search
 from contactqp.solving.friction_runs import run_on_combination
@@ -51,8 +51,6 @@ STILL = EPS
 # by it where one closes all the same, so many times.
 WIDENED = 1e3
 WIDENINGS = 3
-# A load of which this part is left on a body that nothing holds drives it.
-DRIVEN = 1e-6
 # Displacements that differ by this part of the largest are one.
 SAME = 1e-8
 # Positions are refined where the contacts would move so many times as far without their forces: digits cancel there.
@@ -365,7 +363,7 @@ class SolveStepper:
         """Return the equilibrium at a fraction of the leg with slips from `origin` (m, d-1)."""
         problem = self._problem.replace(load=between(*self._leg, fraction), slip_origin=origin)
         if np.all(held_open):
-            self._driven = self._driven or _drives(problem)
+            self._driven = self._driven or _drives(problem, held_open)
             if self._driven:
                 self._driven = not np.any(self._leg[0])  # then all loads of the leg are parts of one
                 raise NoEquilibrium("the load drives a body whose contacts are held open")
@@ -377,6 +375,8 @@ class SolveStepper:
             solution = self._solved(widened, self._predicted(fraction))
             if not np.any(solution.normal_force[held_open] > 0):
                 return _state_of(problem, solution, fraction, held_open)
+            if _drives(problem, held_open):  # as far as any gap lets it
+                raise NotConverged("the load drives a body to contacts that are held open")
         raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
@@ -439,12 +439,12 @@ def between(start: Vector, end: Vector, fraction: float) -> Vector:
     return end if fraction == 1 else start + fraction * (end - start)
 
 
-def _drives(problem: ContactProblem) -> bool:
-    """Say whether the load drives a body that no contact constrains: it would move until a contact closes."""
-    if problem.ties or iterated(problem) or contacts_are_many(problem):
+def _drives(problem: ContactProblem, held_open: Mask) -> bool:
+    """Say whether the load drives a body that no other contacts hold: it would move until one of these closes."""
+    if iterated(problem) or contacts_are_many(problem):
         return False
-    nothing = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
-    return balance(problem, nothing, condense(problem).rigid) > DRIVEN
+    others = problem.with_contacts(np.flatnonzero(~held_open))
+    return driven_motion(others, condense(problem).rigid) is not None
 
 
 def _widened(problem: ContactProblem, held_open: Mask) -> Iterator[ContactProblem]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -233,3 +234,31 @@ def test_a_cylinder_on_one_node_takes_as_few_solves_in_feet_as_in_millimetres(tm
     case.write_text(text.replace('length = "mm"', 'length = "ft"'), "utf-8")
     cq.run(cq.load_scene(case))
     assert len(counts) < 150
+
+
+@pytest.mark.parametrize("spring", [0.0, 1e-3])
+def test_what_the_load_drives_to_contacts_that_are_held_open_is_not_sought_farther_and_farther(
+    spring: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bar lies on its left end; what pulls at the right one turns it until that end lies, too, if no spring holds it."""
+    K = np.zeros((4, 4))
+    K[np.ix_([0, 2], [0, 2])] = [[1.0, -1.0], [-1.0, 1.0]]
+    K[3, 3] = spring
+    down, along = -np.eye(4)[[1, 3]], np.eye(4)[[0, 2]]
+    problem = cq.ContactProblem(K, np.zeros(4), down, [0.0, 0.1], tangent=along, friction=0.3)
+    sought: list[cq.ContactProblem] = []
+
+    def counted(one: cq.ContactProblem, *arguments: Any, **options: Any) -> cq.Solution:
+        sought.append(one)
+        return cq.solve(one, *arguments, **options)
+
+    monkeypatch.setattr(friction_step, "solve", counted)
+    stepper = friction_step.SolveStepper(problem, "active-set", {})
+    stepper.turn(np.zeros(4), np.array([0.0, -1.0, 0.0, -1.0]))
+    held_open = np.array([False, True])
+    if spring:
+        assert stepper.solve(1.0, np.zeros((2, 1)), held_open).gap[1] == pytest.approx(0.1 - 1 / spring)
+    else:
+        with pytest.raises(cq.NotConverged, match="drives a body to contacts that are held open"):
+            stepper.solve(1.0, np.zeros((2, 1)), held_open)
+    assert len(sought) == 2
