@@ -240,7 +240,7 @@ def test_a_cylinder_on_one_node_takes_as_few_solves_in_feet_as_in_millimetres(tm
 def test_what_the_load_drives_to_contacts_that_are_held_open_is_not_sought_farther_and_farther(
     spring: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bar lies on its left end; what pulls at the right one turns it until that end lies, too, if no spring holds it."""
+    """A bar lies on its left end; what pulls at the right one turns it until that lies, too, if no spring holds it."""
     K = np.zeros((4, 4))
     K[np.ix_([0, 2], [0, 2])] = [[1.0, -1.0], [-1.0, 1.0]]
     K[3, 3] = spring
