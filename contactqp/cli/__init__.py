@@ -174,6 +174,8 @@ def _run(arguments: Sequence[str] | None) -> Ending:
     except Exception as error:
         if _interrupted(error):
             return INTERRUPTION
+        if isinstance(error, MemoryError) and not speakers.asked:
+            return Ending(NOT_MET, f"{explained(error)}; a coarser mesh takes less", error="memory")
         if not speakers.asked:
             raise
         # The other ranks wait for this one: it must not go before they know.

@@ -132,3 +132,16 @@ def test_a_name_that_is_no_text_is_refused_in_one_line(
     assert len(err.splitlines()) == 1
     assert "udcff" in err
     assert [one.name for one in tmp_path.iterdir()] == ([] if command == "init" else [name])
+
+
+def test_a_body_that_memory_does_not_hold_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def needs_more(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 2.26 GiB for an array")
+
+    monkeypatch.setattr("contactqp.oracle.exact.exact.exact", needs_more)
+    code, out, err = run(capsys, "oracle", WALL, "--json")
+    said = "out of memory: Unable to allocate 2.26 GiB for an array; a coarser mesh takes less"
+    assert (code, err) == (1, f"contactqp: {said}\n")
+    assert json.loads(out) == {"error": said, "code": "memory", "exit": 1}
