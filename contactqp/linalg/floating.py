@@ -399,7 +399,7 @@ class NullSpace:
         self._R, self._Y, self._N = R[:rank, :rank], Q[:, :rank], Q[:, rank:]
         self.free_coordinates = condensation.unresisted(rows)
         motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
-        self.free = orthonormal(motions @ self.free_coordinates)
+        self.free = _rigid_again(motions, orthonormal(motions @ self.free_coordinates))
         self._hessian = self._factorise_hessian()
 
     def _factorise_hessian(self) -> DenseCholesky | None:
@@ -462,6 +462,17 @@ class NullSpace:
         of_bodies = np.bincount(self._bodies, weights=motion**2)
         rounding = max(part * float(size @ abs(motion)), idle * float(np.sum(np.sqrt(on_bodies * of_bodies))))
         return motion if float(push @ push) > rounding else np.zeros(len(load))
+
+
+def _rigid_again(motions: Array, free: Array) -> Array:
+    """Return combinations (p, q) of rigid motions (p, r) as their products with coordinates.
+
+    Where a body hardly moves, orthonormal columns move it by differences of large numbers, and no longer rigidly to the
+    last digits; beside stiff springs under large loads, which balance on it, that would be work.
+    """
+    if not free.shape[1]:
+        return free
+    return np.asarray(motions @ np.linalg.lstsq(motions, free, rcond=None)[0])
 
 
 def _independent_first(rows: Array, first: Indices) -> Indices:
