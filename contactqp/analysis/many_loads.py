@@ -36,7 +36,7 @@ from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.number_range import near_one
 from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.influence import Influence, ProvenForces, held_by_springs
+from contactqp.linalg.influence import Influence, ProvenForces, SolvedCases, held_by_springs
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.runtime import free_memory
 from contactqp.model.arguments import checked
@@ -192,9 +192,9 @@ def _is_only(cases: LoadCases, condensation: Condensation) -> bool:
 
 
 def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: Any, warm: bool) -> None:
-    """Solve the cases in blocks, each from the states of the one before it where `warm`, else from what it closes."""
+    """Solve the cases in blocks, each from the states of the nearest one before if `warm`, else from what it closes."""
     problem, m, closed = cases.problem, cases.problem.contacts, STICK if influence.rough else SLIP_ON
-    status, friction = np.full(m, OPEN, dtype=np.int8), np.zeros(m)
+    solved, friction = SolvedCases(), np.zeros(m)
     origin = problem.slip_origin.ravel() if influence.rough and problem.slip_origin is not None else np.zeros(0)
     for numbers, loads in cases.blocks(loaded):
         free, sizes = influence.free(loads)
@@ -203,14 +203,15 @@ def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: An
             if influence.rough:
                 friction = cases.coefficients(i)
             limit = np.concatenate([cases.gap(i), origin, problem.tie_value, np.zeros(influence.springs)])
-            if influence.springs and not (warm and rows.answered.any()):  # without contacts the body does not stay
-                status = np.where(np.isfinite(limit[:m]), closed, OPEN).astype(np.int8)
-            elif not warm:
-                status = np.where(influence.excess(free[at], limit)[:m] > 0, closed, OPEN).astype(np.int8)
+            excess = influence.excess(free[at], limit)
+            status = solved.nearest(excess) if warm else None
+            if status is None:  # without contacts a body on springs does not stay
+                touches = np.isfinite(limit[:m]) if influence.springs else (excess[:m] > 0) & (not warm)
+                status = np.where(touches, closed, OPEN).astype(np.int8)
             found = influence.forces(free[at], float(sizes[at]), limit, status, friction)
             if found is not None:
                 rows.take_forces(i, found, friction)
-                status = found.status
+                solved.keep(excess, found.status)
 
 
 def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, Any]) -> None:

@@ -139,11 +139,13 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
 ALLOWANCE, LARGEST_CORRECTION = 1e4, 1e-6
 # Influence functions at once: factors are read once for all of them, and some fifteen arrays of their size are there
 # for a while, which should not take more than all functions at the loaded unknowns, unless that is next to nothing.
-FEWEST, MOST, ARRAYS = 3, 32, 15
+FEWEST, MOST, ARRAYS = 8, 32, 15
 # Terms of a product that are added up by themselves.
 PART = 64
 # Corrections of the states of contacts for one load, at most, and states whose systems are kept.
 MOST_SETS, KEPT = 50, 16
+# Cases among which that of the nearest loads is looked for, whose states a case begins with.
+NEIGHBOURS = 128
 # Parts of the coefficients of friction by which states are come to where they are not found at once.
 PARTS = (0.25, 0.5, 0.75, 0.9, 1.0)
 # Forces are proven to this part of the largest, gaps to this part of the largest length, or left to `solve`; so is what
@@ -164,6 +166,29 @@ class ProvenForces:
     gap: Vector  # (m,)
     status: Status  # (m,) without friction SLIP_ON where closed
     friction_force: Vector | None = None  # (m,) in the plane, (2 m,) in space
+
+
+class SolvedCases:
+    """The last cases that were solved, by what their rows exceed their limits without forces, and their states."""
+
+    def __init__(self) -> None:
+        self._excess, self._status = np.zeros((0, 0)), list[Status]()
+        self._next = 0
+
+    def keep(self, excess: Vector, status: Status) -> None:
+        """Keep the states (m,) of a case with some excess (q,), in place of the oldest where there are many."""
+        if not self._status:
+            self._excess = np.empty((NEIGHBOURS, len(excess)))
+        self._excess[self._next] = excess
+        self._status[self._next : self._next + 1] = [status]
+        self._next = (self._next + 1) % NEIGHBOURS
+
+    def nearest(self, excess: Vector) -> Status | None:
+        """Return the states of the case whose excess is nearest; None where there is no case."""
+        if not self._status:
+            return None
+        apart = self._excess[: len(self._status)] - excess
+        return self._status[int(np.argmin(np.einsum("ij,ij->i", apart, apart)))]
 
 
 class Influence:
@@ -381,13 +406,8 @@ def held_by_springs(problem: ContactProblem, motions: Array) -> ContactProblem:
         0 = e_j'u + p / k = (Y'f)_j - (W l)_j + p_j / k,
 
     Y, W and l those of the problem on springs, p among the forces l: an equation as that of a tie, in which W_jj is
-    less by 1 / k. As many springs as there are rigid motions leave nothing of W among them: a unit force on one of
-    them moves the bodies rigidly by 1 / k. With k = K_jj the sum K_jj + k has no rounding.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    motions : (n, r) array, the null space of K
+    less by 1 / k. As many springs as there are rigid `motions` (n, r) leave nothing of W among them: a unit force on
+    one of them moves the bodies rigidly by 1 / k. With k = K_jj the sum K_jj + k has no rounding.
     """
     places = fixing_unknowns(motions, np.zeros(0, dtype=np.intp), problem.diagonal)
     own = sp.csr_array((np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), problem.dimension))

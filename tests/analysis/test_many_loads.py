@@ -12,6 +12,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.analysis import many_loads
 from contactqp.linalg.exact_algebra import dot, solutions
+from contactqp.linalg.influence import NEIGHBOURS, SolvedCases
 
 BAR = cq.ContactProblem([[157500.0]], [0.0], [[1.0]], [1e-3], units={"length": "m", "force": "kN"})
 
@@ -469,3 +470,12 @@ def test_load_cases_are_called_by_their_names_and_one_without_an_answer_is_unkno
             many.write_csv(tmp_path / "cases.csv", names)
     with pytest.raises(cq.InvalidProblem, match="expected a file that can be written"):
         many.write_csv(tmp_path / "no" / "cases.csv")
+
+
+def test_a_case_begins_with_the_states_of_the_nearest_of_the_last_cases() -> None:
+    solved = SolvedCases()
+    assert solved.nearest(np.zeros(1)) is None
+    for load in range(NEIGHBOURS + 2):
+        solved.keep(np.array([float(load)]), np.array([load % 7], dtype=np.int8))
+    assert solved.nearest(np.array([50.2])).tolist() == [50 % 7]
+    assert solved.nearest(np.array([-1.0])).tolist() == [2]  # the first two were given up
