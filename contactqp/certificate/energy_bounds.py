@@ -60,7 +60,7 @@ from contactqp.linalg.sparse_saddle import (
     SparseSaddle,
     kept_saddle,
 )
-from contactqp.model.arrays import EPS, Vector, seconds_of_unfinished, within_time
+from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
@@ -183,11 +183,13 @@ def _from_solution(
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
     one_by_one = unique.forces and pushed > 0
-    own = abs(change) + (_left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else 0.0)
+    by_residual, by_strain = _left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
+    own = abs(change) + by_residual
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
-        force_bound=own * scaling.force / scaling.contacts if unique.forces else None,
+        # That bodies slide under what rounding leaves of their loads widens bounds, and makes no answer wrong.
+        force_bound=(own + by_strain) * scaling.force / scaling.contacts if unique.forces else None,
         relative_force_bound=own / pushed if one_by_one else None,
         energy_scale=scale * root,
         force_scale=largest * root,
@@ -207,8 +209,8 @@ def _from_solution(
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
 
 
-def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float) -> Vector:
-    """Bound the distance of the closed contacts' forces from the true ones (m,) [force].
+def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float) -> tuple[Vector, Vector]:
+    """Bound the distance of the closed contacts' forces from the true ones [force], in two parts (m,).
 
     Let v move closed row i by one and no other closed row. Equilibrium of the solution, to its residual r, and of the
     truth, which is within the distance |U - u*|_K, along v gives
@@ -218,25 +220,25 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float)
     The first is nothing beside the largest forces of the problem, and the second beside the largest strain; beside what
     acts on soft parts they may be more.
     """
-    left, closed = np.zeros(problem.contacts), np.flatnonzero(held.closed)
+    left, closed = np.zeros((problem.contacts, 2)), np.flatnonzero(held.closed)
     if not len(closed):
-        return left
+        return left[:, 0], left[:, 1]
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
-    residual, taken = abs(held.left.force.double()), np.zeros(rows.shape[0])
+    residual, taken = abs(held.left.force.double()), np.zeros((rows.shape[0], 2))
     # Rows of one unknown each take up what acts there, other rows what acts on the other unknowns.
     alone, unknown = rows_alone(rows)
     others, free = np.delete(np.arange(rows.shape[0]), alone), np.delete(np.arange(problem.dimension), unknown)
     stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
     taken[others] = _taken_by(rows[others][:, free], residual[free], stiffness, distance)
-    here = residual[unknown] + np.sqrt(problem.diagonal[unknown]) * distance
+    here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown]) * distance])
     shared = abs(rows[others][:, unknown]).T @ taken[others]
-    taken[alone] = (here + shared) / abs(rows.data[rows.indptr[alone]])
+    taken[alone] = (here + shared) / abs(rows.data[rows.indptr[alone]])[:, None]
     left[closed] = CAUTION * taken[: len(closed)]
-    return left
+    return left[:, 0], left[:, 1]
 
 
-def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Vector:
-    """Bound |r|'|v| + |v|_K d for a motion v of each row (a,), residuals r and a distance d; zero if rows are many.
+def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
+    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), residuals r, a distance d; zero if rows are many.
 
     Parameters
     ----------
@@ -245,7 +247,7 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> V
     stiffness : (n, n) sparse array K
     distance : float [square root of energy]
     """
-    touched, none = np.flatnonzero(np.bincount(rows.indices)), np.zeros(rows.shape[0])
+    touched, none = np.flatnonzero(np.bincount(rows.indices)), np.zeros((rows.shape[0], 2))
     if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
         return none
     entries = rows[:, touched].toarray()
@@ -253,7 +255,7 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> V
         return none
     motions = np.linalg.pinv(entries)
     energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
-    return np.asarray(abs(motions).T @ residual[touched] + np.sqrt(np.maximum(energy, 0.0)) * distance)
+    return np.column_stack([abs(motions).T @ residual[touched], np.sqrt(np.maximum(energy, 0.0)) * distance])
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
