@@ -238,7 +238,9 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float)
 
 
 def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
-    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), residuals r, a distance d; zero if rows are many.
+    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), residuals r and a distance d.
+
+    Rows that share no unknown are moved one by one. It is zero where more than `MOST_DENSE` hang together.
 
     Parameters
     ----------
@@ -247,15 +249,25 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> A
     stiffness : (n, n) sparse array K
     distance : float [square root of energy]
     """
-    touched, none = np.flatnonzero(np.bincount(rows.indices)), np.zeros((rows.shape[0], 2))
-    if rows.shape[0] > MOST_DENSE or rows.shape[0] * len(touched) > MOST_DENSE**2:
-        return none
-    entries = rows[:, touched].toarray()
-    if not (np.all(np.isfinite(entries)) and np.all(np.isfinite(residual[touched]))):
-        return none
-    motions = np.linalg.pinv(entries)
-    energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
-    return np.column_stack([abs(motions).T @ residual[touched], np.sqrt(np.maximum(energy, 0.0)) * distance])
+    rows = sp.csr_array(rows)
+    size = np.asarray(rows.multiply(rows).sum(axis=1))
+    if not (np.all(np.isfinite(size)) and np.all(size > 0) and np.all(np.isfinite(residual))):
+        return np.zeros((rows.shape[0], 2))
+    energy = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1))
+    taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0)) * distance]) / size[:, None]
+    of_row = sp.csgraph.connected_components(abs(rows) @ abs(rows).T, directed=False)[1]
+    for group in np.flatnonzero(np.bincount(of_row) > 1):
+        together = np.flatnonzero(of_row == group)
+        few = rows[together]
+        touched = np.unique(few.indices)
+        if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
+            taken[together] = 0.0
+            continue
+        motions = np.linalg.pinv(few[:, touched].toarray())
+        energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
+        taken[together, 0] = abs(motions).T @ residual[touched]
+        taken[together, 1] = np.sqrt(np.maximum(energy, 0.0)) * distance
+    return taken
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:

@@ -285,6 +285,25 @@ def test_forces_on_soft_parts_are_bounded_beside_stiff_ones(seed: int) -> None:
 
 
 @pytest.mark.slow
+def test_forces_of_many_skew_contacts_on_soft_parts_are_bounded() -> None:
+    """Six hundred contacts, each on a body of its own, of two unknowns, which it holds at zero by its load alone."""
+    bodies, push, bounded, rng = 600, 2.0**-40, 0, np.random.default_rng(0)
+    body, skew = np.array([[1.0, -1.0], [-1.0, 1.5]]), np.array([1.0, 0.5])
+    rows = sp.csr_matrix(np.hstack([np.zeros((bodies, 1)), np.kron(np.eye(bodies), skew)]))
+    load = np.concatenate([[1.0], np.tile(push * skew, bodies)])
+    for soft in 2.0 ** np.arange(-60, -50, 3):
+        K = sp.block_diag([[[1.0]], *[soft * body] * bodies], format="csr")
+        problem = cq.ContactProblem(K, load, rows, np.zeros(bodies))
+        moved = np.concatenate([[1.0], 1e-2 * rng.normal(size=2 * bodies)])
+        spoiled = push * rng.choice([0.9, 0.99, 1.01, 1.1], bodies)
+        bound = energy_bounds(problem, Answer(moved, spoiled, None, np.zeros(0))).force_bound
+        if bound is not None:
+            bounded += 1
+            assert np.all(bound >= abs(push - spoiled) * (1 - 1e-12))
+    assert bounded >= 3
+
+
+@pytest.mark.slow
 def test_forces_of_programs_are_bounded_contact_by_contact() -> None:
     """Stiffness over sixteen decades, rows that share unknowns, ties: each force against that in rational numbers."""
     compared = 0
