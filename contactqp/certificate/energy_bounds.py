@@ -182,7 +182,7 @@ def _from_solution(
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    one_by_one = unique.forces and pushed > 0
+    one_by_one = unique.forces and pushed > least
     by_residual, by_strain = _left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
     own = abs(change) + by_residual
     found = Bounds(

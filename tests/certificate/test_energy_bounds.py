@@ -349,3 +349,38 @@ def test_what_is_left_of_a_solution_is_in_the_distance_from_it() -> None:
     bound = energy_bounds(problem, answer).energy_error
     assert bound is not None
     assert error <= bound <= 1.00001 * error
+
+
+def without_forces(size: int) -> cq.ContactProblem:
+    """A chain of bare unknowns between 1 and 2, each a little longer than the next, and stiff ones that may make up.
+
+    The least energy is zero: x_i = x_0 a_0 / a_i is within the bounds and leaves the stiff unknowns where they are.
+    """
+    a, rows = 10.0 + 2.0 * np.arange(size) / size, size - 1
+    chain = sp.diags([a[:-1], -a[1:]], [0, 1], shape=(rows, size))
+    stiff = sp.diags([2.0 * np.ones(rows), -np.ones(rows - 1), -np.ones(rows - 1)], [0, 1, -1])
+    return cq.ContactProblem.from_qp(
+        sp.block_diag([sp.csr_matrix((size, size)), stiff]),
+        np.zeros(size + rows),
+        A=sp.hstack([chain, sp.identity(rows)]),
+        b=np.zeros(rows),
+        lb=np.repeat([1.0, 0.0], [size, rows]),
+        ub=np.repeat([2.0, 1.5], [size, rows]),
+    )
+
+
+@pytest.mark.parametrize("method", ["active-set", "clarabel"])
+def test_forces_that_rounding_leaves_where_there_are_none_are_beside_nothing(method: str) -> None:
+    """Forces of 1e-48 were compared with each other, and the answer refused for being off by a tenth of them."""
+    problem = without_forces(100)
+    solution = cq.solve(problem, method)
+    assert solution.certificate.passed
+    assert solution.energy == pytest.approx(0.0, abs=1e-25)
+
+
+def test_a_force_where_there_are_none_is_refused() -> None:
+    problem = without_forces(100)
+    solution = cq.solve(problem)
+    force = solution.normal_force.copy()
+    force[[0, -1]] += 1e-8
+    assert not cq.certify(problem, solution.displacement, force, tie_force=solution.tie_force).passed
