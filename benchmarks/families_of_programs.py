@@ -101,3 +101,80 @@ def staged_programs(rng: Generator) -> ContactProblem:
         tie=rows[:stated],
         tie_value=balance[:stated],
     )
+
+
+@member(well_posed=False)
+def paired_inequalities(rng: Generator) -> ContactProblem:
+    """Equations written as two inequalities each, some of which follow from others; K sees half of the unknowns."""
+    n, m = int(rng.integers(4, 12)), int(rng.integers(1, 4))
+    rows = np.vstack([eighths(rng, m, n), np.eye(1, n) + np.eye(1, n, 1)])
+    rows = np.vstack([rows, rows[0] + rows[-1]])
+    value = rows @ rng.integers(-3, 4, n)
+    seen = rng.integers(0, 2, n).astype(float)
+    load = np.where(seen > 0, 4.0 * eighths(rng, n), 0.0)
+    box = np.full(2 * n, 10.0)
+    return ContactProblem(
+        np.diag(seen),
+        load,
+        np.vstack([rows, -rows, np.eye(n), -np.eye(n)]),
+        np.concatenate([value, -value, box]),
+    )
+
+
+@member(well_posed=False)
+def sums_of_sizes(rng: Generator) -> ContactProblem:
+    """A fit whose coefficients cost by their sizes, as the lasso: x = p - q, residuals are unknowns of their own."""
+    n, fitted = int(rng.integers(2, 6)), int(rng.integers(3, 9))
+    A = eighths(rng, fitted, n)
+    rows = np.hstack([A, -A, -np.eye(fitted)])
+    K = np.diag(np.repeat([0.0, 1.0], [2 * n, fitted]))
+    price = np.repeat([-rng.integers(1, 9) / 4.0, 0.0], [2 * n, fitted])
+    bounded = np.eye(2 * n, 2 * n + fitted)
+    return ContactProblem(K, price, -bounded, np.zeros(2 * n), tie=rows, tie_value=4.0 * eighths(rng, fitted))
+
+
+@member(well_posed=False)
+def chains_without_energy(rng: Generator) -> ContactProblem:
+    """Bare unknowns between bounds, each a multiple of the next, and stiff ones for the rest, as in GOULDQP2: zero."""
+    n = int(rng.integers(3, 12))
+    ratio = rng.integers(80, 97, n) / 8.0
+    chain = np.diag(ratio)[:-1] - np.diag(ratio[1:], 1)[:-1]
+    stiff = 2.0 * np.eye(n - 1) - np.eye(n - 1, k=1) - np.eye(n - 1, k=-1)
+    K = np.zeros((2 * n - 1, 2 * n - 1))
+    K[n:, n:] = stiff
+    lower, upper = np.repeat([1.0, 0.0], [n, n - 1]), np.repeat([2.0, 1.5], [n, n - 1])
+    rows = np.vstack([np.eye(2 * n - 1), -np.eye(2 * n - 1)])
+    tie = np.hstack([chain, np.eye(n - 1)])
+    gap = np.concatenate([upper, -lower])
+    return ContactProblem(K, np.zeros(2 * n - 1), rows, gap, tie=tie, tie_value=np.zeros(n - 1))
+
+
+@member(well_posed=False)
+def pyramids_of_feet(rng: Generator) -> ContactProblem:
+    """Forces of feet in pyramids of friction that balance a weight, some feet in the air; K sees their sum."""
+    feet = int(rng.integers(2, 5))
+    total = np.kron(np.ones((1, feet)), np.eye(3))
+    arms = np.kron(rng.integers(-4, 5, (1, feet)) / 4.0, np.array([[0.0, 0.0, 1.0]]))
+    wrench = np.vstack([total, arms])
+    side = np.array([[1.0, 0.0, -0.5], [-1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, -1.0, -0.5]])
+    press = np.array([[0.0, 0.0, 1.0]])
+    stands = rng.integers(0, 4, feet) > 0
+    rows = np.vstack([np.kron(np.eye(feet), side), np.kron(np.eye(feet), press), -np.kron(np.eye(feet), press)])
+    gap = np.concatenate([np.zeros(4 * feet), 16.0 * stands, np.zeros(feet)])
+    wanted = np.concatenate([eighths(rng, 2), [16.0], eighths(rng, 1)])
+    return ContactProblem(wrench.T @ wrench, wrench.T @ wanted, rows, gap)
+
+
+@member(well_posed=False)
+def separating_planes(rng: Generator) -> ContactProblem:
+    """The plane between two sets of points with a price for those on the wrong side: the offset and these are bare."""
+    points, n = int(rng.integers(4, 12)), int(rng.integers(2, 4))
+    place = eighths(rng, points, n)
+    side = np.where(np.arange(points) % 2 == 0, 1.0, -1.0)
+    rows = np.hstack([side[:, None] * (place + 0.5 * side[:, None]), side[:, None], np.eye(points)])
+    size = n + 1 + points
+    K = np.diag(np.repeat([1.0, 0.0], [n, size - n]))
+    load = np.repeat([0.0, -2.0], [n + 1, points])
+    positive = np.eye(size)[n + 1 :]
+    gap = np.concatenate([-np.ones(points), np.zeros(points)])
+    return ContactProblem(K, load, np.vstack([-rows, -positive]), gap)

@@ -413,7 +413,11 @@ def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, ri
     if problem.frictional or _floats(problem, rigid):
         return bounds
     found = energy_bounds(problem, answer)
-    return found if found.proven else bounds
+    if not found.proven:
+        return bounds
+    if bounds.force_error is None or found.force_error is None:
+        return found
+    return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in a norm of its own
 
 
 def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
