@@ -464,18 +464,37 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
     return found
 
 
+def sharing_unknowns(rows: Any) -> Indices:
+    """Return the rows of a CSR matrix that may take part in a dependence: others touch each of their unknowns, too.
+
+    A row with an unknown of its own depends on no others, and none depends on it; it is left out, and so are then those
+    of which it was the only neighbour at an unknown.
+    """
+    left = np.arange(rows.shape[0])
+    while left.size:
+        some = rows[left]
+        once = np.bincount(some.indices, some.data != 0, minlength=rows.shape[1]) == 1
+        alone = np.zeros(len(left), dtype=bool)
+        alone[np.repeat(np.arange(len(left)), np.diff(some.indptr))[once[some.indices] & (some.data != 0)]] = True
+        if not alone.any():
+            break
+        left = left[~alone]
+    return left
+
+
 def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, Indices], ...]:
     """Return `dependent_ties` where ties are many, by sparse factors of their Gram matrix; at most MOST_VERIFIED."""
     if problem._computed.dependent_ties is None:
-        length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel())
-        rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie)
+        ties = sharing_unknowns(problem.tie)
+        length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel()[ties])
+        rows = sp.csr_matrix(sp.diags(1.0 / length) @ problem.tie[ties])
         gram = IndependentRows(rows, np.ones(problem.dimension))
         found = []
-        for i in np.setdiff1d(np.arange(problem.ties), gram.kept)[:MOST_VERIFIED].tolist():
+        for i in np.setdiff1d(np.arange(len(ties)), gram.kept)[:MOST_VERIFIED].tolist():
             row = rows[[i]].toarray().ravel()
             share = gram.solve(rows @ row)
             if np.linalg.norm(row - rows.T @ share) <= VERIFIED:
-                found.append((i, np.flatnonzero(abs(share) > NO_PART)))
+                found.append((int(ties[i]), ties[abs(share) > NO_PART]))
         problem._computed.dependent_ties = tuple(found)
     cached: tuple[tuple[int, Indices], ...] = problem._computed.dependent_ties
     return cached

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.families_of_constraints import answer_shared_with_ties
+from contactqp.certificate.idle_rows import dependent_sparse_ties, sharing_unknowns
 
 K = np.diag([2.0, 3.0, 5.0, 7.0])
 LOAD = np.array([1.0, -2.0, 0.5, 0.0])
@@ -165,3 +166,19 @@ def test_forces_that_ties_take_up_but_for_rounding_are_compared_with_those_of_ti
     assert cq.certify(problem, u, force + np.array([0.25, -0.125]), tie_force=tie_force).passed
     assert not cq.certify(problem, u, force * 1.001, tie_force=tie_force).passed
     assert not cq.certify(problem, u, force, tie_force=tie_force * 1.001).passed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ties_with_an_unknown_of_their_own_take_part_in_no_dependence(seed: int) -> None:
+    """Ties on a tree that hangs on a ring are left out one after the other; what depends is what it is without that."""
+    random = np.random.default_rng(seed)
+    ring_size, n = 6, 20
+    pairs = [(i, (i + 1) % ring_size) for i in range(ring_size)]
+    pairs += [(int(random.integers(0, j)), j) for j in range(ring_size, n)]
+    pairs = [pairs[i] for i in random.permutation(len(pairs))]
+    rows = sp.csr_matrix(np.array([np.eye(n)[i] - np.eye(n)[j] for i, j in pairs]))
+    on_ring = [k for k, pair in enumerate(pairs) if max(pair) < ring_size]
+    assert sharing_unknowns(rows).tolist() == on_ring
+    problem = cq.ContactProblem(sp.identity(n), np.ones(n), np.eye(1, n), [9.0], tie=rows, tie_value=np.zeros(n))
+    ((one, others),) = dependent_sparse_ties(problem)
+    assert sorted([one, *others.tolist()]) == on_ring
