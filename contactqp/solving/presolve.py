@@ -71,8 +71,11 @@ class Parallel:
         return self.rows[at], [self.factors[place] for place in at]
 
 
-def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
-    """Return the parallel rows of a CSR matrix; signed rows, as contacts are, must point the same way."""
+def parallel_rows(rows: Any, signed: bool, beyond: int = 0) -> tuple[Parallel, ...]:
+    """Return the parallel rows of a CSR matrix; signed rows, as contacts are, must point the same way.
+
+    Those of which no row lies at `beyond` or after it are left out.
+    """
     lengths = np.diff(rows.indptr)
     filled = np.flatnonzero(lengths)
     if not filled.size:
@@ -88,6 +91,7 @@ def parallel_rows(rows: Any, signed: bool) -> tuple[Parallel, ...]:
     changes = (np.diff(key[order]) != 0) | (np.diff(sense[order]) != 0)
     ends = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(order)]])
     several = np.flatnonzero(np.diff(ends) > 1)  # of many rows nearly every one is a group by itself
+    several = several[filled[order[ends[several + 1] - 1]] >= beyond]
     groups = [filled[order[ends[i] : ends[i + 1]]] for i in several]
     if not groups:
         return ()
@@ -220,10 +224,10 @@ class Presolved:
 
 
 def _groups(problem: ContactProblem) -> tuple[tuple[Parallel, ...], ...]:
-    """Return the parallel rows of contacts, of ties, and of both together; they are looked for once."""
+    """Return the parallel rows of contacts, of ties, and of ties with contacts or others; they are looked for once."""
     if problem._computed.parallel_rows is None:
         E, A = problem.normal, problem.tie
-        both = parallel_rows(sp.csr_matrix(sp.vstack([E, A])), False) if problem.ties else ()
+        both = parallel_rows(sp.csr_matrix(sp.vstack([E, A])), False, len(problem.gap)) if problem.ties else ()
         problem._computed.parallel_rows = parallel_rows(E, True), parallel_rows(A, False), both
     groups: tuple[tuple[Parallel, ...], ...] = problem._computed.parallel_rows
     return groups
