@@ -62,19 +62,19 @@ def varied(problem: cq.ContactProblem, seed: int) -> tuple[cq.ContactProblem, fl
     return other, factor
 
 
-def solved(path: str, method: str, seed: int | None = None) -> dict[str, Any]:
+def solved(path: str, method: str, seed: int | None = None, processor: bool = False) -> dict[str, Any]:
     """What `cq.solve` makes of a file, or of the variant of it with this seed."""
-    problem, factor = cq.read_problem(path), 1.0
+    problem, factor, clock = cq.read_problem(path), 1.0, time.process_time if processor else time.perf_counter
     if seed is not None:
         problem, factor = varied(problem, seed)
     for condense in (True, False):
         cq.solve(cq.ContactProblem([[1.0]], [1.0], [[1.0]], [0.5]), condense=condense)
-    started = time.perf_counter()
+    started = clock()
     row: dict[str, Any] = dict(unknowns=problem.dimension, rows=problem.contacts, ties=problem.ties)
     try:
         solution = cq.solve(problem, method)
     except cq.ContactQPError as error:
-        return row | dict(verdict=type(error).__name__, why=str(error)[:200], seconds=time.perf_counter() - started)
+        return row | dict(verdict=type(error).__name__, why=str(error)[:200], seconds=clock() - started)
     certificate = solution.certificate
     width = None
     if certificate.energy_bounds is not None:
@@ -84,24 +84,24 @@ def solved(path: str, method: str, seed: int | None = None) -> dict[str, Any]:
         width = certificate.energy_error**2
     verdict = "proven" if certificate.proven else "passed" if certificate.passed else "refused"
     row |= dict(verdict=verdict, determined=certificate.determined, width=width, energy=solution.energy / factor)
-    return row | dict(seconds=time.perf_counter() - started)
+    return row | dict(seconds=clock() - started)
 
 
-def as_it_is(path: str, backend: str) -> dict[str, Any]:
+def as_it_is(path: str, backend: str, processor: bool = False) -> dict[str, Any]:
     """A backend's own answer to the same arrays, and whether it passes."""
     from qpsolvers import Problem, solve_problem
 
-    problem = cq.read_problem(path)
+    problem, clock = cq.read_problem(path), time.process_time if processor else time.perf_counter
     program = problem.to_qp()
     arrays = {name: _own(value) for name, value in vars(program).items()}
     options = dict.fromkeys(BESIDE[backend], TOLERANCE)
     solve_problem(Problem(sp.identity(2, format="csc"), np.ones(2), lb=np.zeros(2)), backend, **options)
-    started = time.perf_counter()
+    started = clock()
     try:
         answer = solve_problem(Problem(**arrays), backend, **options)
     except (ValueError, TypeError, RuntimeError, ArithmeticError, cq.ContactQPError) as error:
-        return dict(verdict=type(error).__name__, seconds=time.perf_counter() - started)
-    seconds = time.perf_counter() - started
+        return dict(verdict=type(error).__name__, seconds=clock() - started)
+    seconds = clock() - started
     energy = problem.energy(answer.x) if answer.found else None
     return dict(verdict="found" if answer.found else "not found", seconds=seconds, energy=energy)
 
@@ -204,6 +204,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--limit", type=float, default=LIMIT)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--varied", type=int)
+    parser.add_argument("--processor", action="store_true", help="seconds of the processor, beside other work")
     parser.add_argument("--through", nargs="+", metavar="BACKEND")
     asked = parser.parse_args(arguments)
     files = sorted(file for file in asked.folder.iterdir() if file.suffix in (".mat", ".npz", ".qps", ".mps"))
@@ -218,10 +219,10 @@ def main(arguments: list[str] | None = None) -> int:
     ours: list[dict[str, Any]] = []
     others: dict[str, list[dict[str, Any]]] = {name: [] for name in BESIDE}
     for file in files:
-        row = apart(solved, str(file), asked.method, limit=asked.limit)
+        row = apart(solved, str(file), asked.method, None, asked.processor, limit=asked.limit)
         ours.append(row)
         for name, rows in others.items():
-            rows.append(apart(as_it_is, str(file), name, limit=asked.limit))
+            rows.append(apart(as_it_is, str(file), name, asked.processor, limit=asked.limit))
         width = f"{row['width']:.0e}" if row.get("width") is not None else "-"
         beside = "  ".join(f"{name} {rows[-1]['verdict']} {rows[-1]['seconds']:.2f}" for name, rows in others.items())
         counts = f"{row.get('unknowns', 0):6d} {row.get('rows', 0):6d} {row.get('ties', 0):6d}"
