@@ -298,9 +298,9 @@ def decided_in_space(
 ) -> tuple[Status, Indices, Indices]:
     """Return the states (m,) of an answer in space, the contacts that graze, and those that stick at their bounds.
 
-    The answer is that of its states, to the rounding of doubles: a force that is more is there, and a slip that is more
-    and goes along its friction. A gap is there where the answer in these states has one in twice double precision, or,
-    where that is not known, where it is more than rounding of the displacement.
+    The answer is that of its states, to the rounding of doubles: a force or a gap that is more is there, and a slip
+    that is more and goes along its friction. A gap must be there in twice double precision, too, or, where the answer
+    is not known so far, be more than rounding of the whole displacement.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ def decided_in_space(
     system = RateSystem(problem, condense(problem), status, Parts(answer.displacement, push, slip, answer.tie_force))
     known = system.answer() if system.regular else None
     if known is not None and known.bound is not None:
-        apart = system.gap(known, np.where(np.isfinite(problem.gap), problem.gap, 0.0)) > 0
+        apart &= system.gap(known, np.where(np.isfinite(problem.gap), problem.gap, 0.0)) > 0
     else:
         unit = unknown_scale(problem)
         rounded = np.sqrt(sp.csr_array(problem.normal).power(2) @ unit**2) * np.max(u / unit, initial=0.0)
