@@ -13,7 +13,7 @@ from contactqp.linalg import multigrid
 from contactqp.linalg.factorization import widest_level
 from contactqp.linalg.iteration import iterated, iteration
 from contactqp.linalg.pardiso import CHOICE
-from contactqp.solving.methods import inexact_active_set
+from contactqp.solving.methods import Settings, inexact_active_set
 from tests.blocks_in_space import fresh, layered, on_paraboloid, on_sphere, stacked, with_ties
 
 needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
@@ -344,3 +344,20 @@ def test_contacts_where_nothing_arrives_hold_up_no_set(monkeypatch: pytest.Monke
     monkeypatch.setenv("CONTACTQP_SPARSE_SOLVER", "superlu")
     exact = cq.solve(problem.replace(load=load))
     assert solution.normal_force == pytest.approx(exact.normal_force, rel=1e-6, abs=1e-6)
+
+
+@needs_pyamg
+def test_sets_that_grow_and_shrink_in_turn_are_left_to_another_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a membrane they turn a few times, which is no reason to give up; where one turn is, nothing is identified."""
+    side, h = 50, 1.0 / 51
+    chain, one = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(side, side)), sp.identity(side)
+    K, n = sp.csr_matrix(sp.kron(one, chain) + sp.kron(chain, one)), side * side
+    problem = cq.ContactProblem(K, np.full(n, h * h), sp.identity(n, format="csr"), np.full(n, 0.0165))
+    settings = Settings(1e-9)
+    found = inexact_active_set.identified_by_iteration(problem, iteration(problem), settings)
+    assert found is not None
+    assert found.claimed
+    assert found.iterations > 9
+    monkeypatch.setattr(inexact_active_set, "TURNS", 1)
+    monkeypatch.setattr(inexact_active_set, "OFTEN", 0.0)
+    assert inexact_active_set.identified_by_iteration(problem, iteration(problem), settings) is None

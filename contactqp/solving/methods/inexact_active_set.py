@@ -48,6 +48,9 @@ SETTLED = 1e-4
 # energy of the displacement, and steps in all (on membranes of a million nodes it takes 45), beyond which a hierarchy
 # is taken to be of no use.
 IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
+# It is of no use, either, where sets grow and shrink in turn: so often, and in so many of them. Of bodies and membranes
+# sets turn up to six times, and in one of three.
+TURNS, OFTEN = 10, 0.42
 # Forces and lengths of this part of the energy norm of the displacement are nothing
 # (`contactqp.linalg.measures`): a tenth of what the certificate takes for nothing.
 NOTHING = 1e-13
@@ -108,6 +111,7 @@ class _Search:
         self.tolerance = max(min(settings.tolerance, LOOSEST), TIGHTEST)
         self.end = np.inf if settings.time_limit is None else time.perf_counter() + settings.time_limit
         self.seen: set[object] = set()
+        self.sizes: list[int] = []  # of the sets
         self.trust = TRUST
         self.history: list[float] = []
         self.shrunk, self.layers, self.most_layers = 0, 1, MOST_LAYERS
@@ -146,7 +150,8 @@ class _Search:
         sets = 0
         while True:
             sets += 1
-            tell(f"contact set {sets}: {self.iteration.count(self.closed)} closed")
+            self.sizes.append(self.iteration.count(self.closed))
+            tell(f"contact set {sets}: {self.sizes[-1]} closed")
             mark = self.iteration.mark(self.closed)
             if mark in self.seen:
                 self.trust *= TIGHTER
@@ -155,9 +160,19 @@ class _Search:
             if not stopped and (sets >= self.sets_left or self.trust < LEAST_TRUST):
                 disagree = self.iteration.count(self.tension | self.penetrated)
                 stopped = f"no contact set was found; {disagree} contacts disagree"
+            if not stopped and self.identifies and self._turns():
+                self._last_step = self.iteration.krylov_iterations
+                stopped = f"sets of {self.sizes[-2]} and {self.sizes[-1]} contacts alternate"
             if stopped:
                 return self._candidate(sets, stopped)
             self.closed = self.iteration.supported(self.problem, self._following(), self.x)
+
+    def _turns(self) -> bool:
+        """Return whether sets grow and shrink in turn, as where rows of many unknowns open and close each other."""
+        changes = np.sign(np.diff(self.sizes))
+        changes = changes[changes != 0]
+        turns = np.count_nonzero(changes[1:] != changes[:-1])
+        return bool(turns >= TURNS and turns >= OFTEN * len(self.sizes))
 
     def _following(self) -> Mask:
         """Return the set that the signs lead to; a set that keeps shrinking does so by layers that double.
