@@ -99,17 +99,29 @@ def entries_of(rows: Any, contacts: int) -> ContactEntries:
     return ContactEntries(places // rows.shape[1], places % rows.shape[1], values, contacts)
 
 
-# Tangential rows of which this part of the normal row's compliance is left are the rounding of zero.
+# A tangential row that has this part of the normal row's compliance and at no unknown more than the root of this of its
+# entry is the rounding of zero, as of the cosine of a right angle.
 WEAK = 1e-16
 
 
-def hardly_felt(normal: Vector, tangent: Array) -> Mask:
+def hardly_felt(compliances: tuple[Vector, Array], normal: Any, tangent: Any) -> Mask:
     """Return which contacts have a tangential row that is rounding beside the normal one, or zero (m,).
 
-    `normal` (m,) and `tangent` (m, d-1) are the compliances of the rows, sum E_ij^2 / K_jj [length / force]; rows on
-    unknowns without stiffness are not judged.
+    A body that is soft along the normal of its contact makes no rounding of a row across, which acts on other unknowns.
+
+    Parameters
+    ----------
+    compliances : (m,) and (m, d-1) arrays, sum E_ij^2 / K_jj of normal and tangential rows [length / force]; rows on
+        unknowns without stiffness, of infinite compliance, are not judged
+    normal, tangent : (m, n) and (m (d-1), n) CSR arrays
     """
-    return np.asarray(np.any((tangent < WEAK * normal[:, None]) & np.isfinite(tangent), axis=1))
+    along, across = compliances
+    weak = (across < WEAK * along[:, None]) & np.isfinite(across)
+    if weak.any():
+        rows = np.flatnonzero(weak)
+        beside = abs(tangent[rows]) - np.sqrt(WEAK) * abs(normal[rows // weak.shape[1]])
+        weak.flat[rows] = beside.max(axis=1).toarray().ravel() <= 0
+    return np.asarray(np.any(weak, axis=1))
 
 
 def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
@@ -195,7 +207,7 @@ def slips_of(problem: ContactProblem, displacement: Vector) -> Slips | None:
     if problem.tangent is None or problem.slip_origin is None:
         return None
     slip = (problem.tangent @ displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
-    hardly = hardly_felt(*compliances(problem))
+    hardly = hardly_felt(compliances(problem), problem.normal, problem.tangent)
     return Slips(slip, HELD_BY_DOUBLES * lengths_across(problem, displacement), hardly)
 
 

@@ -7,6 +7,7 @@ to a few dozen roundings, about 1e-14, and a smaller one is only known to be sma
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.certificate.coulomb_law import (
     CoulombData,
@@ -41,7 +42,7 @@ from contactqp.linalg.measures import (
     rows_and_limits,
     sizes_of,
 )
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Mask, Vector
 from contactqp.model.solution import Answer, Nothing, Violations
 
 
@@ -61,7 +62,7 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
     elastic = without_rigid_part(problem, bodies, u)
     F = problem.product_sizes(abs(elastic)) + outer_forces(problem, answer)
     size = intrinsic_size(problem, answer, elastic)
-    hardly = hardly_felt(*_compliances(problem))
+    hardly = _hardly_felt(problem)
     none = slips_that_are_nothing(_nothing(problem, u, elastic, size, rounding), hardly)
     residuals = (
         outer_resultant(problem, answer) - problem.product(u),
@@ -174,7 +175,7 @@ def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violati
 
     It is that of `contactqp.certificate.coulomb_law.coulomb_residual`; None where no contact of any rank has friction.
     """
-    hardly = hardly_felt(*_compliances(problem))
+    hardly = _hardly_felt(problem)
     data = _friction_data(problem, answer.displacement, found.meeting, found.nothing.force, hardly)
     if not problem.frictional or data is None or problem.tangent is None:
         return None
@@ -242,14 +243,16 @@ def _friction_data(
     return CoulombData(slip, rounding, problem.friction, friction_measure(across, along, hardly))
 
 
-def _compliances(problem: DistributedProblem) -> tuple[Vector, Array]:
-    """Return the compliances of this rank's normal and tangential rows, as `contactqp.certificate.coulomb_law` does.
-
-    Collective.
-    """
-    normal = row_sizes(problem, problem.normal).compliance
-    if problem.tangent is None or problem.slip_origin is None:
-        return normal, np.zeros((problem.contacts, 0))
-    rows = problem.tangent
-    found = bare_infinite(rows.entries, row_sizes(problem, rows).compliance, rows.at_touched(problem.diagonal))
-    return normal, found.reshape(problem.slip_origin.shape)
+def _hardly_felt(problem: DistributedProblem) -> Mask:
+    """Return `contactqp.certificate.coulomb_law.hardly_felt` of this rank's contacts (m_here,). Collective."""
+    normal, rows = problem.normal, problem.tangent
+    along = row_sizes(problem, normal).compliance
+    if rows is None or problem.slip_origin is None:
+        return np.zeros(problem.contacts, dtype=bool)
+    across = bare_infinite(rows.entries, row_sizes(problem, rows).compliance, rows.at_touched(problem.diagonal))
+    # Of the unknowns that normal rows touch those count that tangential rows touch, too.
+    both = np.isin(normal.touched, rows.touched)
+    place = np.searchsorted(rows.touched, normal.touched[both], sorter=(order := np.argsort(rows.touched)))
+    pick = sp.csr_array((np.ones(len(place)), (np.flatnonzero(both), order[place])), (len(both), len(rows.touched)))
+    compliances = along, across.reshape(problem.slip_origin.shape)
+    return hardly_felt(compliances, sp.csr_array(normal.entries) @ pick, sp.csr_array(rows.entries))

@@ -433,6 +433,17 @@ def test_a_tangential_row_that_is_rounding_is_none(weak: float) -> None:
         assert cq.certify(problem, u, [5.0], [[rub]]).passed is passes, rub
 
 
+@pytest.mark.parametrize("soft", [1.0, 1e-8, 1e-15, 1e-17, 1e-20])
+def test_friction_that_drives_is_refused_however_soft_the_body_is_along_the_normal(soft: float) -> None:
+    """A block of weight 7 on a spring across, 1, that nothing pulls: friction of 2.1 may not hold it 2.1 away."""
+    rows = dict(normal=[[0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0.0]], friction=[0.3])
+    problem = cq.ContactProblem(np.diag([1.0, soft]), [0.0, -7.0], **rows)
+    assert cq.certify(problem, [0.0, 0.0], [7.0], [[0.0]]).passed
+    assert cq.certify(problem, [2.1, 0.0], [7.0], [[-2.1]]).slip_direction > 0.1
+    assert not cq.certify(problem, [2.1, 0.0], [7.0], [[-2.1]]).passed
+    assert not cq.certify(problem, [-2.1, 0.0], [7.0], [[2.1]]).passed
+
+
 @pytest.mark.parametrize(("origin", "passes"), [(1e-17, True), (-1e-13, True), (1e-3, False)])
 @pytest.mark.parametrize("length", [1.0, 1e-20, 1e20])
 def test_a_slip_of_rounding_where_a_node_is_held_across_turns_no_friction(
