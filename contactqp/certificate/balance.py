@@ -25,7 +25,7 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import bodies, outer_forces, parts, scale_through_rows, untouched
+from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import Array, Mask, Vector
@@ -61,10 +61,15 @@ NO_FORCE = 2.0**-90
 def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
     """Return what extended precision rounds the forces to (n,) that come from elsewhere in each part [force].
 
-    A tie may hold a massless unknown to a loaded one without a force.
+    A tie may hold a massless unknown to a loaded one without a force. In a part without stiffness forces are compared
+    with the largest by what rows make of them.
     """
     D, part = scale_through_rows(problem), parts(problem)
     most = np.zeros(int(part.max(initial=-1)) + 1)
+    if (bare := np.bincount(part, weights=D, minlength=len(most)) == 0).any():
+        np.maximum.at(most, part, meeting)
+        D = given_on(problem, np.where(bare[part] & (meeting == most[part]) & (meeting > 0), 1.0, D))
+        most[:] = 0.0
     np.maximum.at(most, part, D * meeting)
     return np.divide(NO_FORCE * most[part], D, out=np.zeros_like(D), where=D > 0)
 

@@ -353,17 +353,20 @@ def scale_through_rows(problem: ContactProblem) -> Vector:
     has been given is given on.
     """
     if problem._computed.scale_through_rows is None:
-        K = problem.diagonal
-        D = reciprocal(np.sqrt(K))
-        unknown = K == 0  # yet
-        while unknown.any():
-            given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
-            D = np.where(unknown, given, D)
-            if not np.any(D[unknown] > 0):
-                break
-            unknown &= D == 0
-        problem._computed.scale_through_rows = D
+        problem._computed.scale_through_rows = given_on(problem, reciprocal(np.sqrt(problem.diagonal)))
     return problem._computed.scale_through_rows
+
+
+def given_on(problem: ContactProblem, D: Vector) -> Vector:
+    """Return scales (n,) that rows have given on, as in `scale_through_rows`, to the unknowns where D (n,) is zero."""
+    unknown = D == 0  # yet
+    while unknown.any():
+        given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
+        D = np.where(unknown, given, D)
+        if not np.any(D[unknown] > 0):
+            break
+        unknown &= D == 0
+    return D
 
 
 def _given_by(rows: Any, D: Vector) -> Vector:

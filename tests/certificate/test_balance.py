@@ -131,3 +131,14 @@ def test_a_rounding_of_forces_elsewhere_at_a_massless_node_needs_no_balance(load
     for force in (1e-6, -1e-6):
         assert not cq.certify(problem, u, [force * load], None, [0.0]).passed
     assert cq.certify(problem, normal_force=[0.0]).passed
+
+
+@pytest.mark.parametrize("noise", [0.0, 8.4e-40, -1e-33])
+def test_a_tie_force_of_rounding_needs_no_balance_where_nothing_is_stiff(noise: float) -> None:
+    """Two walls press on a node from both sides, by 13 and 11.75; a tie holds another node, with next to no force."""
+    rows = dict(normal=[[0, 1, -1], [-1, 0, 1], [1, 0, -1], [4, 0, -4]], gap=[-0.5, 0, 0, 0.375])
+    ties = dict(tie=[[0, 1, 0], [0, 0, 1]], tie_value=[-0.875, 0])
+    problem = cq.ContactProblem(np.zeros((3, 3)), [-1.25, 0, 2.125], **rows, **ties)
+    judged = cq.certify(problem, [0, -0.875, 0], [0, 13, 11.75, 0], None, [noise, 0.875])
+    assert judged.proven
+    assert not cq.certify(problem, [0, -0.875, 0], [0, 13, 11.75, 0], None, [1e-3, 0.875]).passed
