@@ -117,10 +117,10 @@ class History(ReadOnly, Printed, Sequence[Solution]):
     def notes(self) -> tuple[str, ...]:
         """Return where a step with friction has jumped, and where it has taken one of several answers.
 
-        Each step is followed again from event to event from the state at its start, which costs what exact events
-        cost. "It jumps" says that no rates continue the path at the load that is named, a snap: the step ends at an
-        equilibrium beyond it. "It chooses" says that several do. Loads at which the certificate found several
-        equilibria (at most eight contacts) are named too. Exact events raise at such loads instead.
+        Each step is followed again from event to event, in doubles unless these find something, for about a second or
+        as long as the steps took. "It jumps" says that no rates continue the path at the load that is named, a snap:
+        the step ends at an equilibrium beyond it. "It chooses" says that several do. Loads at which the certificate
+        found several equilibria (at most eight contacts) are named too. Exact events raise at such loads instead.
         """
         return tuple(self._find_notes())
 

@@ -17,7 +17,7 @@ from contactqp.model.coulomb import STATUS_WORDS
 from contactqp.scene import fields
 from contactqp.scene.blocks import element_quantities
 from contactqp.scene.blocks.element import Measure
-from contactqp.scene.fields import Block, KnobStiffness, Name, Number, no_such
+from contactqp.scene.fields import SOME, Block, KnobStiffness, Name, Number, no_such
 from contactqp.scene.units import KINDS, Kind, NotANumber, Quantity, per, read_quantity
 
 ONE_ANSWER = "one answer"
@@ -380,7 +380,7 @@ class Expectation(Claim):
     """The exact value, how close the answer must come, and where the value is from."""
 
     value: Text | None = None  # the exact one, with its unit
-    rows: tuple[tuple[Text, ...], ...] | None = None
+    rows: Annotated[tuple[Annotated[tuple[Text, ...], SOME], ...], SOME] | None = None
     unit: Text = ""  # of the numbers in `rows`
     # Relative to |value|, or absolute with a unit. Twelve digits: a few rounding errors of a small system.
     tolerance: Annotated[Quantity, PlainValidator(_tolerance), Field(validate_default=True)] = "1e-12"  # type: ignore[assignment]
@@ -495,5 +495,5 @@ class Study(Block):
 class Report(Block):
     """The methods that a report tries on the case, where all of them would take too long, and why those."""
 
-    methods: Annotated[tuple[Name, ...], Field(min_length=1)]
+    methods: Annotated[tuple[Name, ...], SOME]
     why: Text

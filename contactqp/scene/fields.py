@@ -168,6 +168,7 @@ TieValue = Annotated[Quantity, *_quantity("length", "angle")]
 Time = Annotated[Quantity, *_quantity("time", roots=True)]
 PositiveTime = Annotated[Time, _POSITIVE]
 Velocity = Annotated[Quantity, *_quantity("velocity")]
+SOME = Field(min_length=1)
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
 LineForces = Annotated[

@@ -133,6 +133,9 @@ def test_a_matrix_that_is_off_by_one_entry_is_not_met():
     assert not judge(changed, Trial()).expectations[0].ok
     fewer = scene.model_copy(update={"expect": (type(matrix)(**data, rows=rows[:2]),)})
     assert not judge(fewer, Trial()).met
+    for nothing in ([], [[], []]):
+        with pytest.raises(ValueError, match="at least 1 item"):
+            type(matrix)(**data, rows=nothing)
 
 
 def test_a_claim_about_a_method_is_for_that_method_and_knob_only():
