@@ -174,6 +174,8 @@ def _from_solution(
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     largest = largest if largest > least else 0.0
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
+    if not unique.forces:  # closed rows may share what they carry in another way, or press against each other
+        missed = min(missed, float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned)))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)

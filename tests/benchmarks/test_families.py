@@ -96,6 +96,14 @@ def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> 
     assert [bound for bound in report.bounds if bound.below] == []
 
 
+def test_a_truth_without_forces_passes_where_the_solution_beside_it_presses_pairs_of_rows_together() -> None:
+    """Forces that closed rows may share in another way were an error of the size of those that cancel."""
+    report = judging.judge("paired_inequalities", 4, ("active-set",))
+    assert report.truth_refused == ""
+    assert report.spoiled_passed == ()
+    assert [bound for bound in report.bounds if bound.below] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [141, 405])
 def test_the_truth_passes_however_far_a_body_moves_freely(seed: int) -> None:
