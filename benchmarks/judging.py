@@ -213,9 +213,10 @@ def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterato
             rounding = errors.rounding if figure == "energy_error" else EPS
             yield Bounded(figure, source, float(bound), min(readings), max(readings), slack, rounding)
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
-        scale = truth.force_size
-        worst = int(np.argmax(errors.contact - certificate.force_bound))
-        bound, error = float(certificate.force_bound[worst]) / scale, float(errors.contact[worst]) / scale
+        own = np.maximum(abs(truth.rounded()[1]), errors.contact)  # a small force counts as well
+        own[own == 0] = 1.0
+        worst = int(np.argmax((errors.contact - certificate.force_bound) / own))
+        bound, error = float(certificate.force_bound[worst] / own[worst]), float(errors.contact[worst] / own[worst])
         yield Bounded("force_bound", source, bound, error, error, slack)
 
 
