@@ -135,10 +135,8 @@ def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
 
 
 def presses(state: ClosedState) -> bool:
-    """Return whether contacts are closed, and forces so large beside those that act that they may press in pairs."""
+    """Return whether forces of contacts and ties are so large beside those that act that they may press in pairs."""
     problem = state.problem
-    if not state.closed.any():
-        return False  # ties push and pull, and the sum of what they carry is not what they are chosen by
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     return state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0)))
 

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-import contactqp as cq
-from contactqp.linalg.extended import ExtendedAnswer
-from contactqp.linalg.least_norm import least_solution, nearly_cancelling, presses
-from contactqp.linalg.sparse_saddle import ClosedState
-from contactqp.model.solution import Answer
+from contactqp.linalg.least_norm import least_solution, nearly_cancelling
 
 
 def test_second_differences_are_met_where_least_squares_by_iteration_would_take_thousands_of_steps() -> None:
@@ -40,14 +36,3 @@ def test_many_rows_that_nearly_cancel_are_made_to_cancel() -> None:
     assert np.max(abs(rows.T @ near)) > 1e-8
     assert np.max(abs(rows.T @ found)) < 1e-15
     assert found == pytest.approx(1.0 / units, rel=1e-5)
-
-
-@pytest.mark.parametrize("closed", [False, True])
-def test_only_closed_contacts_press_against_each_other(closed: bool) -> None:
-    """Ties alone are searched for no smaller forces: they push and pull, and the linear program chose none of them."""
-    problem = cq.ContactProblem(
-        np.eye(2), [3.0, 0.0], [[0.0, 1.0], [0.0, -1.0]], [0.0, 0.0], tie=[[1.0, 0.0]] * 2, tie_value=[1.0, 1.0]
-    )
-    force = np.full(2, 1e6 if closed else 0.0)
-    answer = Answer(np.array([1.0, 0.0]), force, None, np.array([1e6 + 2, -1e6]))
-    assert presses(ClosedState.of(problem, np.full(2, closed), ExtendedAnswer.of(answer))) is closed
