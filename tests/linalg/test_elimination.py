@@ -288,7 +288,7 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
 @pytest.mark.slow
 @pytest.mark.parametrize("bare", [False, True])
 def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
-    """Six motions that are looked for take one each."""
+    """Six motions that are looked for take one each; what rounding of K makes of motions, which bounds contain, two."""
     monkeypatch.setenv(pardiso.CHOICE, "superlu")
     problem = floating_in_space(**({"near_null_space": None} if bare else {}))
     solution = cq.solve(problem)
@@ -297,7 +297,7 @@ def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
     free = np.column_stack([motion.direction for motion in solution.free_motions])
     size = abs(free).T @ abs(solution.displacement)
     assert np.all(abs(free.T @ solution.displacement) <= 1e-12 * size)  # at rest where nothing holds it
-    assert solution.work.back_substitutions <= (22 if bare else 15)
+    assert solution.work.back_substitutions <= (23 if bare else 17)
 
 
 def test_nodes_far_apart_are_as_many_entries_away_as_the_graph_says():
