@@ -26,6 +26,7 @@ units. Where rows repeat, these are the nearest of many.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,7 +35,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
-from contactqp.errors import NotConverged
+from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
@@ -47,11 +48,12 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import connected_parts
+from contactqp.linalg.factorization import SuperLU, connected_parts
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.measures import bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
+from contactqp.linalg.schur import with_pivots
 from contactqp.linalg.sparse_saddle import (
     MET_TOGETHER,
     REGULARISATIONS,
@@ -79,6 +81,10 @@ DOMINANT = 1e-12
 ROUNDED = 1e-26
 # Rows whose forces take up a residual by dense systems, and so many times of that is allowed for.
 MOST_DENSE, CAUTION = 500, 4.0
+# Sizes of motions that are too many to be formed are told from what they answer to so many forces at random.
+PROBES = 24
+# Entries that E E' may have, and pivots of it, its diagonal scaled to one, that leave doubles digits enough.
+MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 DECIDED = "what rounding of the data decides is not proven"
 # An answer that is so near to a solution up to such a conflict is believed.
 NEAR = 1e-6
@@ -86,6 +92,7 @@ NEAR = 1e-6
 LEAST_PART = 1e-6
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
+NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
 # Elastic energy beneath zero by this part of the energy's terms is that of a stationary point that is no minimum.
 NEGATIVE = 1e-9
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
@@ -184,15 +191,15 @@ def _from_solution(
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    one_by_one = unique.forces and pushed > least
     by_residual, by_strain = _left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
     own = abs(change) + by_residual
+    bounded = unique.forces and bool(np.all(np.isfinite(own + by_strain)))
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
         # That bodies slide under what rounding leaves of their loads widens bounds, and makes no answer wrong.
-        force_bound=(own + by_strain) * scaling.force / scaling.contacts if unique.forces else None,
-        relative_force_bound=own / pushed if one_by_one else None,
+        force_bound=(own + by_strain) * scaling.force / scaling.contacts if bounded else None,
+        relative_force_bound=own / pushed if bounded and pushed > least else None,
         energy_scale=scale * root,
         force_scale=largest * root,
         rounding=least * root,
@@ -203,7 +210,7 @@ def _from_solution(
         # A slender body answers a force as a motion does that nothing resists; its factors tell that it has energy.
         apart=_relative(distance * root, strained * root) if definite and not sees else None,
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
-        reasons=() if unique.forces else (f"force_bound: {REDUNDANT}",),
+        reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
     if state.length_residual <= MET_TOGETHER:
         return found
@@ -242,7 +249,8 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float)
 def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
     """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), residuals r and a distance d.
 
-    Rows that share no unknown are moved one by one. It is zero where more than `MOST_DENSE` hang together.
+    Rows that share no unknown are moved one by one. Both are infinite where rows leave the range of doubles, or are
+    dependent.
 
     Parameters
     ----------
@@ -254,22 +262,63 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> A
     rows = sp.csr_array(rows)
     size = np.asarray(rows.multiply(rows).sum(axis=1))
     if not (np.all(np.isfinite(size)) and np.all(size > 0) and np.all(np.isfinite(residual))):
-        return np.zeros((rows.shape[0], 2))
+        return np.full((rows.shape[0], 2), np.inf)
     energy = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1))
     taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0)) * distance]) / size[:, None]
-    of_row = sp.csgraph.connected_components(abs(rows) @ abs(rows).T, directed=False)[1]
+    of_row = sp.csgraph.connected_components(sp.bmat([[None, rows], [rows.T, None]]), directed=False)[1][: len(size)]
     for group in np.flatnonzero(np.bincount(of_row) > 1):
         together = np.flatnonzero(of_row == group)
         few = rows[together]
         touched = np.unique(few.indices)
         if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
-            taken[together] = 0.0
+            taken[together] = _taken_at_random(few[:, touched], residual[touched], stiffness[touched], distance)
             continue
         motions = np.linalg.pinv(few[:, touched].toarray())
         energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
         taken[together, 0] = abs(motions).T @ residual[touched]
         taken[together, 1] = np.sqrt(np.maximum(energy, 0.0)) * distance
     return taken
+
+
+def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
+    """Return what |r|'|v| and |v|_K d of the shortest motions v = E'(E E')^-1 e_i (a, 2) do not exceed, but for chance.
+
+    For D = diag(d) and signs z at random the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z has the v'D z of all
+    motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2, with s_j
+    the sum of |K_ji| over i. That the mean of `PROBES` falls short by `CAUTION` in the root has odds beneath 1e-10.
+
+    Parameters
+    ----------
+    rows : (a, n) sparse array E, independent
+    residual : (n,) array [force], their sizes
+    stiffness : (n, ...) sparse array, the rows of K
+    distance : float [square root of energy]
+    """
+    count, n = rows.shape
+    weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1))) * distance])
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (n, PROBES))
+    solve = _inverse_of_gram(rows)
+    if solve is None:
+        return np.full((count, 2), np.inf)
+    answered = [np.column_stack([solve(one) for one in (rows @ (weight[:, None] * signs)).T]) for weight in weights.T]
+    return np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
+
+
+def _inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
+    """Return a function that solves with E E' of sparse rows E (a, n), None where they are too near to dependent.
+
+    Where the condition of E E' would be too much, [I E'; E 0] has the root of it.
+    """
+    n = rows.shape[1]
+    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
+        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
+        if gram.smallest_pivot > WELL_APART:
+            return gram.solve
+    try:
+        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
+    except BackendFailed:
+        return None
+    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:

@@ -12,7 +12,10 @@ import contactqp as cq
 from benchmarks.judging import exact_truth
 from contactqp.certificate.bounds import failed_errors
 from contactqp.certificate.energy_bounds import (
+    CAUTION,
+    NOT_APART,
     REACH,
+    _taken_at_random,
     _taken_by_constraints,
     diagonal_dominance,
     energy_bounds,
@@ -301,6 +304,56 @@ def test_forces_of_many_skew_contacts_on_soft_parts_are_bounded() -> None:
             bounded += 1
             assert np.all(bound >= abs(push - spoiled) * (1 - 1e-12))
     assert bounded >= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 9])
+def test_forces_of_many_rows_that_share_unknowns_are_bounded(seed: int) -> None:
+    """A chain of more than five hundred closed rows on springs over many decades; the load is made from its answer."""
+    rng = np.random.default_rng([17, seed])
+    m = int(rng.integers(510, 700))
+    n = m + int(rng.integers(1, 20))
+    bands = [rng.integers(1, 3, m) * (-1.0) ** k for k in range(rng.integers(2, 4))]
+    E = sp.diags_array(bands, offsets=range(len(bands)), shape=(m, n)).tocsr()
+    decades = int(rng.integers(5, 45))
+    springs = np.exp2(rng.integers(-decades, 1, n).astype(float))
+    u, force = rng.integers(-4, 5, n).astype(float), np.ldexp(rng.integers(1, 9, m), rng.integers(-decades, 1, m))
+    problem = cq.ContactProblem(sp.diags_array(springs).tocsr(), springs * u + E.T @ force, E, E @ u)
+    compared = 0
+    for moved, spoiled in ((0.0, 0.0), (1e-9, 1e-9), (1e-3, 1e-3), (0.0, 1e-3)):
+        pushed = force * (1 + spoiled * rng.normal(size=m))
+        found = energy_bounds(problem, Answer(u + moved * rng.normal(size=n), pushed, None, np.zeros(0)))
+        if found.force_bound is not None:
+            compared += 1
+            assert np.all(found.force_bound >= abs(pushed - force) * (1 - 1e-12))
+    assert compared == 4
+
+
+def test_motions_of_many_rows_are_not_shorter_than_those_of_dense_systems() -> None:
+    rng = np.random.default_rng(0)
+    rows = sp.csr_array(sp.random_array((60, 70), density=0.05, rng=rng) + sp.eye_array(60, 70))
+    root = sp.random_array((70, 70), density=0.1, rng=rng)
+    stiffness, residual = sp.csr_array(root @ root.T), 10.0 ** rng.uniform(-6, 0, 70)
+    motions = np.linalg.pinv(rows.toarray())
+    energy = np.sum(motions * (stiffness @ motions), axis=0)
+    exact = np.column_stack([abs(motions).T @ residual, 2.0 * np.sqrt(energy)])
+    told = _taken_at_random(rows, residual, stiffness, 2.0)
+    assert np.all(CAUTION * told >= exact)
+    assert np.all(told <= 30 * exact)
+
+
+@pytest.mark.slow
+def test_forces_that_no_factors_bound_have_a_reason_instead(monkeypatch: pytest.MonkeyPatch) -> None:
+    m = 501
+    E = sp.diags_array([np.ones(m), -0.5 * np.ones(m)], offsets=[0, 1], shape=(m, m + 1)).tocsr()
+    problem = cq.ContactProblem(sp.eye_array(m + 1).tocsr(), E.T @ np.ones(m), E, np.zeros(m))
+    answer = Answer(np.zeros(m + 1), np.ones(m), None, np.zeros(0))
+    assert energy_bounds(problem, answer).force_bound is not None
+    monkeypatch.setattr("contactqp.certificate.energy_bounds.WELL_APART", 2.0)
+    monkeypatch.setattr("contactqp.linalg.schur.OF_BAND", 0.0)
+    found = energy_bounds(problem, answer)
+    assert found.force_bound is None
+    assert found.reasons == (f"force_bound: {NOT_APART}",)
 
 
 @pytest.mark.slow
