@@ -34,7 +34,7 @@ from contactqp.linalg.measures import (
     of_rows,
     outer_forces,
 )
-from contactqp.linalg.nonnegative import Infeasible, dual_active_set
+from contactqp.linalg.nonnegative import Infeasible, dual_active_set, nonnegative_least_squares
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -50,17 +50,14 @@ def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
     Least-distance programming (Lawson and Hanson 1974, chapter 23): with G = -rows, h = excess and r the residual of
     min |[G'; h'] y - (0; 1)| over y >= 0, w_j = -r_j / r_last.
     """
-    from scipy.optimize import nnls
-
     size = np.linalg.norm(rows, axis=1)
     wanted = excess / size
     largest = float(np.max(wanted))
     columns = np.hstack([-(rows / size[:, None]).T, ties.T, -ties.T])
     matrix = np.vstack([columns, np.concatenate([wanted / largest, np.zeros(2 * len(ties))])])
     unit = np.append(np.zeros(len(columns)), 1.0)
-    try:
-        share, _ = nnls(matrix, unit, maxiter=30 * matrix.shape[1])
-    except RuntimeError:  # too many steps
+    share, residual = nonnegative_least_squares(matrix, unit)
+    if np.isnan(residual):
         return None
     left = matrix @ share - unit
     return None if -left[-1] <= CONFLICT else np.asarray(largest * left[:-1] / -left[-1])
@@ -68,13 +65,10 @@ def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
 
 def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
     """Minimise |rows' l + ties' n - resultant| over l >= 0; None where too many steps are needed."""
-    from scipy.optimize import nnls
-
     size = np.linalg.norm(rows, axis=1)
     matrix = np.hstack([(rows / size[:, None]).T, ties.T, -ties.T])
-    try:
-        share, _ = nnls(matrix, resultant, maxiter=30 * matrix.shape[1])
-    except RuntimeError:  # too many steps
+    share, residual = nonnegative_least_squares(matrix, resultant)
+    if np.isnan(residual):
         return None
     return np.asarray(share[: len(rows)] / size)
 

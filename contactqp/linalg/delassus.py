@@ -358,6 +358,7 @@ class FrictionalRows:
         Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
         within its bound would do; it is given none.
     coefficient : (m,) array, mu r_T / r_N: friction bounds in scaled forces
+    corrections : int, how many systems of combinations have given since the rows were made
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
@@ -378,6 +379,7 @@ class FrictionalRows:
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         self.motions = orthonormal_motions(condensation)
         self.system: dict[bool, Any] = {}  # the last one, by whether its rows were made independent
+        self.corrections = 0
 
     @cached_property
     def compliance(self) -> Array:

@@ -211,6 +211,7 @@ class StateSystem:
         """
         reduced, inner = self._condensation.reduce_residual(load)
         rows, m, p = self._rows, self._contacts, self._size
+        rows.corrections += 1
         lengths, q = np.concatenate([gap, slip.ravel(), tie]), p + len(self._acting)
         right = np.zeros(q + self._across)
         right[:p], right[p:q] = reduced * rows.scale, lengths[self._acting] / self._units

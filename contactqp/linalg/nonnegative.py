@@ -155,21 +155,33 @@ def _independent(W: Array, rows: Indices) -> list[int]:
     return chosen
 
 
-def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -> tuple[Vector, float]:
-    """Return forces l (q,), not negative on `pushing_only`, for which |rows'l - resultant| is least, and this residual.
+def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, float]:
+    """Minimise |matrix x - right| over x >= 0 by the algorithm of Lawson and Hanson (1974); return x and this residual.
 
-    The residual is NaN where the least squares of Lawson and Hanson (1974) ended without an answer.
+    The residual is NaN, and x zero, where that takes too many steps. A matrix without columns is answered here: SciPy
+    1.17 frees memory twice for it, which ends the process.
     """
     from scipy.optimize import nnls
 
-    columns = np.vstack([rows, -rows[~pushing_only]]).T
+    none = np.zeros(matrix.shape[1])
+    if not matrix.size:
+        return none, float(np.linalg.norm(right))
     try:
-        share, residual = nnls(columns, resultant, maxiter=30 * columns.shape[1])
+        share, residual = nnls(matrix, right, maxiter=30 * matrix.shape[1])
     except RuntimeError:  # too many steps
-        return np.zeros(len(rows)), np.nan
+        return none, np.nan
+    return np.asarray(share), float(residual)
+
+
+def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -> tuple[Vector, float]:
+    """Return forces l (q,), not negative on `pushing_only`, for which |rows'l - resultant| is least, and this residual.
+
+    The residual is NaN, and the forces are zero, where these least squares end without an answer.
+    """
+    share, residual = nonnegative_least_squares(np.vstack([rows, -rows[~pushing_only]]).T, resultant)
     force = share[: len(rows)].copy()
     force[~pushing_only] -= share[len(rows) :]
-    return force, float(residual)
+    return force, residual
 
 
 def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contactqp.linalg import nonnegative
-from contactqp.linalg.nonnegative import dual_active_set
+from contactqp.linalg.nonnegative import dual_active_set, forces_without_tension, nonnegative_least_squares
 
 
 def unit_compliances(rows: np.ndarray) -> np.ndarray:
@@ -57,3 +57,27 @@ def test_it_ends_where_the_energy_rises_no_more() -> None:
     _, steps, ended = dual_active_set(unit_compliances(rows), h, none, np.full(len(h), 1e-12), 50_000)
     assert not ended
     assert steps < 2000
+
+
+@pytest.mark.parametrize("shape", [(3, 0), (0, 3), (0, 0)])
+def test_least_squares_of_empty_matrices_do_not_reach_scipy(
+    shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SciPy 1.17 frees memory twice where there are no columns, and returns what memory held without rows."""
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError(shape)
+
+    monkeypatch.setattr("scipy.optimize.nnls", never)
+    share, residual = nonnegative_least_squares(np.zeros(shape), np.ones(shape[0]))
+    assert share.tolist() == [0.0] * shape[1]
+    assert residual == math.sqrt(shape[0])
+    force, missing = forces_without_tension(np.zeros(shape[::-1]), np.ones(shape[0]), np.ones(shape[1], dtype=bool))
+    assert force.tolist() == [0.0] * shape[1]
+    assert missing == residual
+
+
+def test_least_squares_without_negative_parts_in_closed_form() -> None:
+    share, residual = nonnegative_least_squares(np.array([[1.0, 0.0], [0.0, 2.0]]), np.array([-3.0, 4.0]))
+    assert share.tolist() == [0.0, 2.0]
+    assert residual == 3.0

@@ -28,6 +28,7 @@ from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
+from contactqp.linalg.iteration import grid_operations
 from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Vector, all_finite, refuse_late
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
@@ -173,11 +174,23 @@ class ContactForm:
         self._operator = operator = contact_operator(problem, condensation, rows)
         load, self._inner = condensation.reduce_load(problem.load)
         self._scaled_load = load * rows.scale
+        self._a_correction = OVERHEAD + float(len(rows.S) + len(rows.all_rows)) ** 3
+        entries = float(problem.stiffness_rows.nnz)
+        self._a_correction += PER_ENTRY * entries
+        # What combinations near an iterate may take still: as much as the stiffness' factors, if that is more.
+        self.left = max(NEARBY_OPERATIONS, grid_operations(problem.dimension, entries / problem.dimension))
         gap, origin, value = rows.lengths(problem)
         self._start = operator.start(value)
         self._load = operator.spread @ (self._scaled_load - rows.S @ self._start)
         w = np.column_stack([gap, -origin.reshape(-1, rows.width)]).ravel()
         self.local = operator.local(problem, rows.coefficient, operator.free(self._load, self._start) + w)
+
+    def answer_nearby(self, status: Status, start: Answer) -> Answer:
+        """Return `answer_in`, and take what it costs from what is left."""
+        before = self._rows.corrections
+        answer = self.answer_in(status, start)
+        self.left -= self._a_correction * (self._rows.corrections - before)
+        return answer
 
     def answer_in(self, status: Status, start: Answer) -> Answer:
         """Return the answer of a combination (m,), refined on the problem from `start`; its signs may fail."""
@@ -227,8 +240,9 @@ WORTH_REFINING = 1e-5
 SMALL_FORCES = 0.1
 # Contacts of which all combinations of states take less than the long attempts of algorithms: 3^5 in space.
 MOST_TRIED = 5
-# Of few contacts, so many combinations near that of the best iterate are tried: about a second, the same anywhere.
-MOST_NEARBY = 300
+# Combinations near that of the best iterate may take so many operations, about a second: counted, not timed, so that
+# the verdict is the same anywhere. A correction takes OVERHEAD, the number of equations cubed, and PER_ENTRY of K.
+NEARBY_OPERATIONS, OVERHEAD, PER_ENTRY = 1e9, 7e5, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +333,7 @@ def _on_form(
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""
     if not found and algorithm is None and form.m <= MOST_CONTACTS:
-        found, nearby = _near(problem, contacts, form, iterate, settings.max_iter or MOST_NEARBY, deadline)
+        found, nearby = _near(problem, contacts, form, iterate, settings.max_iter, deadline)
         name = f"combinations near {name}"
     if not found:
         raise NotConverged(
@@ -331,10 +345,15 @@ def _on_form(
 
 
 def _near(
-    problem: ContactProblem, contacts: ContactForm, form: LocalForm, iterate: Iterate, most: int, deadline: Deadline
+    problem: ContactProblem,
+    contacts: ContactForm,
+    form: LocalForm,
+    iterate: Iterate,
+    most: int | None,
+    deadline: Deadline,
 ) -> tuple[list[Answer], str]:
     """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
-    and how many were tried: at most so many, or as many as a limit of time allows.
+    and how many were tried: at most so many, or as many as a limit of time or the operations that are left allow.
 
     Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
     forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
@@ -344,10 +363,11 @@ def _near(
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
     for tried, combination in enumerate(every[nearest]):
-        if deadline.passed or (deadline.remaining is None and tried == most):
+        spent = contacts.left <= 0 if most is None else tried == most
+        if deadline.passed or (deadline.remaining is None and spent):
             some = f"the {tried} nearest of {len(every)} combinations"
             return [], f"; {some} fail as well; a longer time_limit tries more"
-        answer = contacts.answer_in(combination, plain)
+        answer = contacts.answer_nearby(combination, plain)
         if holds(problem, answer):
             return [answer], ""
     return [], f"; all {len(every)} combinations, refined from there, fail as well"

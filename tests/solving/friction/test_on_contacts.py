@@ -38,14 +38,14 @@ def test_every_combination_is_tried_where_there_is_time() -> None:
 
 
 @pytest.mark.slow
-def test_combinations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
-    assert "the 3 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
+def test_operations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact_form, "NEARBY_OPERATIONS", 2e7)
+    assert "the 2 nearest of 9 combinations fail as well; a longer time_limit tries more" in refusal()
 
 
 @pytest.mark.slow
 def test_a_limit_of_time_counts_instead_where_one_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact_form, "MOST_NEARBY", 3)
+    monkeypatch.setattr(contact_form, "NEARBY_OPERATIONS", 1.0)
     assert "all 9 combinations, refined from there, fail as well" in refusal(time_limit=600.0)
 
 
