@@ -6,16 +6,16 @@ what its gaps, forces, slips and margins are there decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import Direction, Parts, Rates, errors_of, shape_of_tangents, slips_that_begin
-from contactqp.analysis.rate_systems import SAME, RateSystem
+from contactqp.analysis.rate_data import SAME, Direction, NoRates, Parts, Rates, Scales, errors_of, shape_of_tangents
+from contactqp.analysis.rate_systems import RateSystem
+from contactqp.analysis.slip_law import slips_that_begin
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale
@@ -24,7 +24,15 @@ from contactqp.linalg.friction_states import friction_bound, refined_in
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, combinations_at
+from contactqp.model.coulomb import (
+    OPEN,
+    SLIP_BACK,
+    SLIP_ON,
+    STICK,
+    Status,
+    combinations_at,
+    number_of_combinations,
+)
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate
 
@@ -45,8 +53,6 @@ FAR = 1e100
 # Turns of the directions in which contacts begin to slip, at most, and where these have settled.
 MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
-# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
-MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Contacts that are named in a reason.
 SHOWN = 5
 # The rates whose signs tell states.
@@ -174,64 +180,6 @@ def _beyond_doubles(
     slip[abs(slip) <= nothing * tangent] = 0.0
     gap = rows.gap(problem, found.displacement).double()
     return (push, drag.reshape(shape), gap, slip.reshape(shape)), force, nothing * normal, room.double()
-
-
-class Scales:
-    """What turns quantities of a problem into square roots of energy, in which they compare."""
-
-    def __init__(self, problem: ContactProblem) -> None:
-        self._problem = problem
-
-    def same(self, of: str, one: Rates, other: Rates) -> bool:
-        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
-        return self._apart(of, one, other) <= 0
-
-    def _apart(self, of: str, one: Rates, other: Rates) -> float:
-        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
-        difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return float(np.max(abs(difference), initial=0.0)) - SAME * max(self.largest(one), self.largest(other))
-
-    def largest(self, rates: Rates) -> float:
-        """Return the largest of the rates of displacements and forces, in the square root of energy."""
-        return max(float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)) for name in MEASURED)
-
-    def are_one(self, one: Rates, other: Rates) -> bool:
-        """Return whether two combinations of states have the same rates.
-
-        What is nothing beside slips is none, nor is what the bounds of the errors of both leave open.
-        """
-        sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
-        nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
-        nothing = max(nothing, self._left_open(one) + self._left_open(other))
-        return all(self._apart(name, one, other) <= nothing for name in MEASURED)
-
-    def _left_open(self, rates: Rates) -> float:
-        """Return the largest bound of the errors of rates, in the square root of energy, 0 where there is none."""
-        if (bound := rates.bound) is None:
-            return 0.0
-        parts = bound.displacement, bound.normal, bound.tangent, bound.tie
-        return max(float(np.max(self.of(name, one), initial=0.0)) for name, one in zip(MEASURED, parts, strict=True))
-
-    def of(self, name: str, values: Array) -> Vector:
-        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
-        unit, normal, tangent, tie = self.units
-        flat = values.ravel()
-        if name in ("displacement", "reaction"):
-            return flat / unit if name == "displacement" else flat * unit
-        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
-        if name in ("gap", "slip"):
-            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
-        return flat * length if flat.size else flat
-
-    @cached_property
-    def units(self) -> tuple[Vector, Vector, Vector, Vector]:
-        """Return the scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
-        problem, unit = self._problem, unknown_scale(self._problem)
-        rows = (problem.normal, problem.tangent, problem.tie)
-        normal, tangent, tie = (
-            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
-        )
-        return unit, normal, tangent, tie
 
 
 def resolved(problem: ContactProblem, status: Status, answer: Parts) -> Parts:
@@ -379,6 +327,16 @@ class Borders:
             return OPEN, SLIP_ON if in_space or self.slip[i, 0] > 0 else SLIP_BACK
         return (OPEN, STICK, SLIP_ON) if in_space else (OPEN, STICK, SLIP_ON, SLIP_BACK)
 
+    def combinations(self) -> Iterator[Status]:
+        """Return states (m,) in which contacts at a border have each combination of their choices.
+
+        Raises NoRates: there are too many.
+        """
+        choices = [self.choices(int(i)) for i in self.undecided]
+        if number_of_combinations(choices) > MOST_COMBINATIONS:
+            raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
+        return combinations_at(self.undecided, choices, self.status)
+
     @property
     def free(self) -> Indices:
         """Return the contacts that may begin to slip in any direction of a plane."""
@@ -422,6 +380,33 @@ class Borders:
             push[begins] += np.einsum("ijk,jk->i", pushes, found)
             slip[begins] = found
             yield replace(held, normal_force=push, slip=slip)
+
+    def turned(
+        self, status: Status, begins: Indices, direction: Direction, system_of: Callable[..., RateSystem],
+        rates_of: Callable[[RateSystem, Direction], Rates],
+    ) -> Iterator[RateSystem]:  # fmt: skip
+        """Yield systems in which some contacts in space begin to slip along their friction, by Newton's method.
+
+        Parameters
+        ----------
+        status, begins, direction : (m,) and (q,) arrays, the states and these contacts, and what the rates are along
+        system_of : returns the system of some states, and of slips that begin at some rates
+        rates_of : returns the rates of a system along a direction
+        """
+        held = status.copy()
+        held[begins] = STICK
+        system = system_of(held)
+        moved = [rates_of(system, unit) for unit in self.unit_slips(begins)]
+        for rates in self.starts(rates_of(system, direction), moved, begins):
+            for _ in range(MOST_TURNS):
+                system, before = system_of(status, rates), rates.slip[begins]
+                rates = rates_of(system, direction)
+                changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
+                if not (system.regular and np.all(size > 0)):
+                    break
+                if np.all(changed <= TURNS_NO_MORE * size):
+                    yield system
+                    break
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
         """Return what is not negative where rates lead undecided contacts to the states of a system, or its error.

@@ -24,8 +24,7 @@ from contactqp.analysis.gradients import (
     rate_of_energy,
     value_of,
 )
-from contactqp.analysis.rate_data import FREE, REDUNDANT, VECTORS, Direction, NoRates, Rates, errors_of
-from contactqp.analysis.rate_systems import SAME
+from contactqp.analysis.rate_data import FREE, REDUNDANT, SAME, VECTORS, Direction, NoRates, Rates, errors_of
 from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_once
@@ -353,7 +352,7 @@ def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> 
         return "bounds follow from condensed contacts, and these are too many"
     if linearised.turns:
         return IN_SPACE if linearised.system is None else UNTOLD
-    if linearised.redundant or shared:
+    if linearised.redundant or linearised.shares or shared:
         return SHARED
     if linearised.has_bounds:
         return GRAZES if linearised.solution.free_motions else UNREFINED
@@ -375,9 +374,9 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
-    limited = parameter in ("rows", "gap", "tie_value") and not (along and linearised.sharings_are_few)
+    limited = parameter not in ("load", "stiffness") and not (along and linearised.sharings_are_few)
     shared = of in FORCES and not (along and linearised.only(of))
-    if linearised.redundant and (shared or limited):
+    if (linearised.redundant or linearised.shares) and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
     motions = _free(linearised.solution)

@@ -1,13 +1,9 @@
-"""What rates are made of: directions, parts of data and of solutions, factorised states and the law of slips.
-
-In space friction turns with the slip s: of a contact that slips mu l_N t changes at the rate mu dl_N t + C ds, with
-t = s/|s| and C = mu l_N / |s| (I - t t'). Both are those of the exact answer, which doubles round: taken at an answer
-in twice double precision they are known as well as this is.
-"""
+"""What rates are made of: directions, parts of data and of solutions, their scales, and factorised states."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,27 +12,24 @@ from numpy.typing import NDArray
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
-from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.extended import Extended, two_product, two_sum
+from contactqp.linalg.dense import saddle_point, unknown_scale
+from contactqp.linalg.extended import Extended, two_product
 from contactqp.linalg.friction_states import StateSystem, slip_directions
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
+from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.coulomb import OPEN, SLIP_ON, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
 
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
-# What sums of products in twice double precision are off by, as parts of their terms.
-ROUNDED = 2.0**-92
-# Sweeps over contacts that begin to slip, at most, and the part of each slip that the last may change: a start of
-# Newton's method.
-MOST_SWEEPS, SETTLED = 200, 1e-6
+# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
+MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
+# Rates that differ by this part of the largest, in the square root of energy, are one.
+SAME = 1e-9
 # Why there are no rates.
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
-# Slips and forces that may be off by more than this part of them tell no direction and no turn of it.
-TOLD = 2.0**-10
 
 
 class NoRates(Exception):
@@ -171,116 +164,62 @@ def with_reaction(
     return Rates(u, found.normal, friction, found.tie, gap, slip, reaction, status, bound)
 
 
-@dataclass(frozen=True, eq=False)
-class SlipLaw:
-    """The rates of the friction of contacts that slip, mu dl_N t + C ds, and what t and C are off by.
+class Scales:
+    """What turns quantities of a problem into square roots of energy, in which they compare."""
 
-    In the plane t is +-1 and C is zero. What does not slip has no t.
-    """
+    def __init__(self, problem: ContactProblem) -> None:
+        self._problem = problem
 
-    coefficient: Vector  # (m,) mu
-    directions: Extended  # ((d-1) m,) t
-    turns: Extended  # (m,) mu l_N / |s|
-    off: Vector  # (m,) the length of what t may be off by
-    off_turns: Vector  # (m,) what mu l_N / |s| may be off by, as a part of itself
+    def same(self, of: str, one: Rates, other: Rates) -> bool:
+        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
+        return self._apart(of, one, other) <= 0
 
-    @classmethod
-    def of_doubles(cls, coefficient: Vector, directions: Array, turns: Vector) -> SlipLaw:
-        """Return the law with directions (m, d-1) and turns (m,) as they are."""
-        none = np.zeros(len(turns))
-        return cls(coefficient, Extended(directions.ravel()), Extended(turns), none, none)
+    def _apart(self, of: str, one: Rates, other: Rates) -> float:
+        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
+        difference = self.of(of, getattr(one, of) - getattr(other, of))
+        return float(np.max(abs(difference), initial=0.0)) - SAME * max(self.largest(one), self.largest(other))
 
-    @classmethod
-    def at(
-        cls, coefficient: Vector, status: Status, slip: Extended, push: Extended, off_slip: Vector, off_push: Vector
-    ) -> SlipLaw:
-        """Return the law at an answer in space.
+    def largest(self, rates: Rates) -> float:
+        """Return the largest of the rates of displacements and forces, in the square root of energy."""
+        return max(float(np.max(abs(self.of(name, getattr(rates, name))), initial=0.0)) for name in MEASURED)
 
-        Parameters
-        ----------
-        coefficient, status : (m,) arrays, mu and the states
-        slip, push : slips (2 m,) and contact forces (m,)
-        off_slip, off_push : (m,) arrays, what these may be off by, slips in length
+    def are_one(self, one: Rates, other: Rates) -> bool:
+        """Return whether two combinations of states have the same rates.
+
+        What is nothing beside slips is none, nor is what the bounds of the errors of both leave open.
         """
-        slides = (status != OPEN) & (status != STICK)
-        largest = np.max(abs(slip.hi.reshape(-1, 2)), axis=1, initial=0.0)
-        unit = np.where(slides & (largest > 0), np.exp2(-np.frexp(largest)[1].astype(float)), 0.0)
-        scaled = slip.times(np.repeat(unit, 2))  # by powers of two, so that squares have all digits
-        squares = times(scaled, scaled)
-        square = squares[0::2] + squares[1::2]
-        moves = square.hi > 0
-        length = _root(Extended(np.where(moves, square.hi, 1.0), np.where(moves, square.lo, 0.0)))
-        directions = ratio(scaled, Extended(np.repeat(length.hi, 2), np.repeat(length.lo, 2)))
-        bound = times(Extended(np.where(moves, coefficient, 0.0)), push)
-        turns = ratio(bound, length).times(unit)
-        size = np.where(moves, length.hi / np.where(unit > 0, unit, 1.0), np.inf)
-        part = off_slip / size
-        weak = off_push > TOLD * abs(push.hi)
-        off_turns = 2 * part + np.divide(2 * off_push, abs(push.hi), out=np.zeros_like(part), where=~weak) + ROUNDED
-        unknown = slides & (coefficient > 0) & (~moves | (part > TOLD) | weak)
-        off = np.where(unknown, np.inf, np.where(moves, 2 * part + ROUNDED, 0.0))
-        return cls(coefficient, directions, turns, off, off_turns)
+        sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
+        nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
+        nothing = max(nothing, self._left_open(one) + self._left_open(other))
+        return all(self._apart(name, one, other) <= nothing for name in MEASURED)
 
-    @property
-    def is_known(self) -> bool:
-        """Return whether what t may be off by is bounded."""
-        return bool(np.all(np.isfinite(self.off)))
+    def _left_open(self, rates: Rates) -> float:
+        """Return the largest bound of the errors of rates, in the square root of energy, 0 where there is none."""
+        if (bound := rates.bound) is None:
+            return 0.0
+        parts = bound.displacement, bound.normal, bound.tangent, bound.tie
+        return max(float(np.max(self.of(name, one), initial=0.0)) for name, one in zip(MEASURED, parts, strict=True))
 
-    @property
-    def width(self) -> int:
-        """Return d - 1."""
-        return len(self.directions) // max(len(self.turns), 1)
+    def of(self, name: str, values: Array) -> Vector:
+        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
+        unit, normal, tangent, tie = self.units
+        flat = values.ravel()
+        if name in ("displacement", "reaction"):
+            return flat / unit if name == "displacement" else flat * unit
+        length = dict(normal_force=normal, gap=normal, tie_force=tie).get(name, tangent)
+        if name in ("gap", "slip"):
+            return np.divide(flat, length, out=np.zeros_like(flat), where=length > 0)
+        return flat * length if flat.size else flat
 
-    def dragged(self, normal: Extended, coefficient: Vector | None = None) -> Extended:
-        """Return mu l t (flat) of forces l (m,), or of other coefficients."""
-        bound = times(Extended(self.coefficient if coefficient is None else coefficient), normal)
-        return times(self.directions, self._each(bound))
-
-    def along(self, slip: Extended) -> Extended:
-        """Return t's (m,) of slips (flat)."""
-        products, width = times(self.directions, slip), self.width
-        found = products[0::width]
-        for k in range(1, width):
-            found = found + products[k::width]
-        return found
-
-    def turned(self, slip: Extended) -> Extended:
-        """Return C s (flat) of slips (flat)."""
-        if not self.turns.hi.any():
-            return Extended(np.zeros(len(slip)))
-        across = slip - times(self.directions, self._each(self.along(slip)))
-        return times(self._each(self.turns), across)
-
-    def error_of_dragged(self, normal: Vector, coefficient: Vector | None = None) -> Vector:
-        """Return what mu l t (m,) is off by for what t is, in length."""
-        return np.asarray(abs((self.coefficient if coefficient is None else coefficient) * normal) * self.off)
-
-    def error_of_turned(self, slip: Array) -> Vector:
-        """Return what C s (m,) of slips (m, d-1) is off by for what t and C are, in length."""
-        size = np.linalg.norm(slip, axis=1)
-        return np.asarray(abs(self.turns.hi) * size * (self.off_turns + 3 * self.off))
-
-    def _each(self, values: Extended) -> Extended:
-        """Return a number for each contact once for each of its directions."""
-        return Extended(np.repeat(values.hi, self.width), np.repeat(values.lo, self.width))
-
-
-def times(a: Extended, b: Extended) -> Extended:
-    """Return the products, entry by entry."""
-    product, error = two_product(a.hi, b.hi)
-    return Extended(*two_sum(product, error + (a.hi * b.lo + a.lo * b.hi)))
-
-
-def ratio(a: Extended, b: Extended) -> Extended:
-    """Return the quotients, entry by entry."""
-    first = a.hi / b.hi
-    return Extended(*two_sum(first, (a - times(Extended(first), b)).double() / b.hi))
-
-
-def _root(a: Extended) -> Extended:
-    """Return the square roots of positive numbers."""
-    first = np.sqrt(a.hi)
-    return Extended(*two_sum(first, (a - Extended(*two_product(first, first))).double() / (2 * first)))
+    @cached_property
+    def units(self) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return the scale of unknowns, and the lengths of normal, tangential and tied rows in it."""
+        problem, unit = self._problem, unknown_scale(self._problem)
+        rows = (problem.normal, problem.tangent, problem.tie)
+        normal, tangent, tie = (
+            np.zeros(0) if one is None else np.sqrt(sp.csr_array(one).power(2) @ unit**2) for one in rows
+        )
+        return unit, normal, tangent, tie
 
 
 def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Direction) -> Any:
@@ -318,57 +257,6 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     sizes, terms = abs(sp.csr_array(rows)), int(np.max(np.diff(sp.csr_array(rows).indptr), initial=0)) + 3
     errors = sizes @ bound.displacement + EPS * terms * (abs(own) + sizes @ u) + more
     return errors.reshape(getattr(rates, of).shape)
-
-
-def slips_that_begin(friction: Vector, push: Vector, drag: Array, pushes: Array, drags: Array) -> list[Array]:
-    """Return slips (q, 2) at whose rates the friction of contacts is at its bound, along them: all of one contact.
-
-    Forces are affine in the slips s: normal ones l = push + P s, friction r = drag + D s, and r_i = mu_i l_i s_i/|s_i|.
-    Of more than one contact each is given its slip in turn, until none changes (Gauss-Seidel), and these are returned.
-
-    Parameters
-    ----------
-    friction, push, drag : coefficients (q,), forces (q,) and friction (q, 2) where nothing slips
-    pushes, drags : P (q, q, 2) and D (q, 2, q, 2)
-    """
-    if len(push) == 1:
-        return [slip[None] for slip in _slips_of_one(friction[0], push[0], drag[0], pushes[0, 0], drags[0, :, 0])]
-    slips = np.zeros_like(drag)
-    for _ in range(MOST_SWEEPS):
-        changed = 0.0
-        for i in range(len(push)):
-            others = slips.copy()
-            others[i] = 0.0
-            own = push[i] + np.sum(pushes[i] * others), drag[i] + np.einsum("ajk,jk->a", drags[i], others)
-            beyond = np.linalg.norm(own[1]) > friction[i] * own[0]
-            possible = _slips_of_one(friction[i], *own, pushes[i, i], drags[i, :, i]) if beyond else []
-            found = possible[0] if possible else np.zeros(2)
-            before, after, apart = (float(np.linalg.norm(one)) for one in (slips[i], found, found - slips[i]))
-            changed, slips[i] = max(changed, apart / max(before, after, TINY)), found
-        if changed <= SETTLED:
-            return [slips] if np.all(slips.any(axis=1)) else []
-    return []
-
-
-def _slips_of_one(friction: float, push: float, drag: Vector, by_push: Vector, by_drag: Array) -> list[Vector]:
-    """Return the slips (2,) that one contact may begin with, those that fit best first; as `slips_that_begin`.
-
-    A slip |s| t has drag + |s| D t = mu (push + |s| P t) t. The product with what is across t leaves of it a polynomial
-    of degree 3 in the cosine and sine of the angle of t, without |s|.
-    """
-    angles = np.arange(8) * (np.pi / 4)
-    t = np.stack([np.cos(angles), np.sin(angles)])
-    rest, slope = drag[:, None] - friction * push * t, by_drag @ t - friction * (by_push @ t) * t
-    coefficients = np.fft.fft(rest[0] * slope[1] - rest[1] * slope[0])
-    roots = np.roots(np.concatenate([coefficients[3::-1], coefficients[:-4:-1]]))
-    found = []
-    for root in roots[roots != 0] / abs(roots[roots != 0]):
-        t = np.array([root.real, root.imag])
-        rest, slope = drag - friction * push * t, by_drag @ t - friction * (by_push @ t) * t
-        size = -float(rest @ slope) / max(float(slope @ slope), TINY)
-        if size > 0:
-            found.append((float(np.linalg.norm(rest + size * slope)), size * t))
-    return [slip for _, slip in sorted(found, key=lambda pair: pair[0])]
 
 
 class FactorisedStates(Protocol):

@@ -23,20 +23,18 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.rate_data import (
-    ROUNDED,
     Direction,
     FactorisedStates,
     Frictional,
     Frictionless,
     Parts,
     Rates,
-    SlipLaw,
     Solved,
     errors_of,
     shape_of_tangents,
-    times,
     with_reaction,
 )
+from contactqp.analysis.slip_law import ROUNDED, SlipLaw, times
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY
@@ -46,8 +44,6 @@ from contactqp.model.problem import ContactProblem
 
 # Sweeps of refinement at most; two or three are made.
 MAX_SWEEPS = 12
-# Rates that differ by this part of the largest, in the square root of energy, are one.
-SAME = 1e-9
 # What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
 # gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9

@@ -24,16 +24,30 @@ from functools import cached_property
 
 import numpy as np
 
-from contactqp.analysis import border_states
-from contactqp.analysis.border_states import Borders, Scales, at_border, hardly_apart, missed, named, seen_states
+from contactqp.analysis.border_states import (
+    FAR,
+    RATE_EPS,
+    Borders,
+    at_border,
+    decided,
+    decided_in_space,
+    hardly_apart,
+    named,
+    resolved,
+    seen_states,
+    sticking_at_bound,
+)  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
+from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, refuse_many
 from contactqp.analysis.rate_data import (
     REDUNDANT,
+    SAME,
     SINGULAR,
     Direction,
     NoRates,
     Parts,
     Rates,
+    Scales,
     Solved,
     closed_on,
     rates_posed,
@@ -42,24 +56,22 @@ from contactqp.analysis.rate_data import (
     slips_across,
     with_reaction,
 )  # fmt: skip
-from contactqp.analysis.rate_systems import LARGE, SAME, RateSystem
+from contactqp.analysis.rate_systems import LARGE, RateSystem
 from contactqp.certificate import bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths
-from contactqp.linalg.nonnegative import Sharing, width_within
+from contactqp.linalg.nonnegative import Sharing
 from contactqp.linalg.refinement import INVISIBLE
-from contactqp.model.arrays import TINY, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status, combinations_at, number_of_combinations
+from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
 IN_SPACE = "graze in space where other answers are not excluded, and together may begin to slip in many directions"
-# Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
-SEEN = 1e-6
 # Contacts that share their forces, at most, whose displacements have rates by gaps.
 MOST_SHARING = 64
 
@@ -112,7 +124,7 @@ class Linearised:
         slip = np.zeros(shape_of_tangents(problem)) if answer.slip is None else answer.slip
         self._answer = Parts(answer.displacement, answer.normal_force, slip, answer.tie_force)
         if problem.frictional:
-            self._answer = border_states.resolved(problem, self.status, self._answer)
+            self._answer = resolved(problem, self.status, self._answer)
         self._systems: dict[bytes, RateSystem] = {}
         self._posed: dict[bytes, ContactProblem] = {}
         self.redundant = self._forces_depend()
@@ -120,6 +132,7 @@ class Linearised:
             self._close_what_may_push()
         whole = not (self.is_sparse or len(self.undecided))
         self.system = self._system(self.status) if whole else None
+        self.shares = self._sharing_with_friction(slid) if problem.frictional else None
 
     def _decide(self) -> None:
         """Find the states of contacts; those that certificates see at a border are decided where they can be.
@@ -135,21 +148,21 @@ class Linearised:
         self.push, self._gap, self.status = solution.normal_force, solution.gap, seen_states(words, self._slip)
         self.grazing, self._at_bound = (
             np.flatnonzero((words == "grazing") | hardly_apart(solution.certificate, self.status)),
-            border_states.sticking_at_bound(problem, self.status, self.push, self._drag),
+            sticking_at_bound(problem, self.status, self.push, self._drag),
         )
         near = np.union1d(self.grazing, self._at_bound).astype(np.intp)
         in_space = problem.frictional and none.shape[1] > 1
         self.sure = not len(near)
         if len(near) and in_space:
             answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
-            self.status, self.grazing, self._at_bound = border_states.decided_in_space(
+            self.status, self.grazing, self._at_bound = decided_in_space(
                 problem, self.status, self.grazing, answer, self._gap, self._slip
             )
         elif (len(near) or problem.dimension <= LARGE) and not (self.is_sparse or in_space):
             status, pushing = self.status.copy(), self.grazing[solution.normal_force[self.grazing] > 0]
             status[pushing] = STICK if problem.frictional else SLIP_ON
             parts = Parts(solution.displacement, solution.normal_force, self._drag, solution.tie_force)
-            found = border_states.decided(problem, condense(problem), status, near, parts)
+            found = decided(problem, condense(problem), status, near, parts)
             self.sure = self.sure or (found is not None and found.sure)
             if found is not None:
                 self.status, self.grazing, self._at_bound = found.status, found.grazing, found.at_bound
@@ -172,6 +185,25 @@ class Linearised:
         # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
         return self._sharing.takes_part(np.isin(self._touching, self.grazing))
 
+    def _sharing_with_friction(self, slid: Mask) -> FrictionSharing | None:
+        """Return the contacts with friction, and ties, that share forces; None where none do, or too many touch.
+
+        Where all states that can exert the forces hold the same, such contacts are at no border.
+        """
+        if (self.system is not None and self.system.regular) or len(self._touching) > MOST_SHARING:
+            return None
+        forces = Parts(self._answer.displacement, self.push, self._drag, self._answer.tie)
+        found = FrictionSharing(self.problem, self.scales, self.status, self._touching, forces, self._slip, slid)
+        if not found.null.size:
+            return None
+        if found.is_steady and not len(others := np.setdiff1d(self.undecided, found.members)):
+            system = self._system(found.steady)
+            if not found.moves(system):
+                self.status, self.system, self.closed = found.steady, system, np.flatnonzero(found.steady != OPEN)
+                self.undecided = self.grazing = self._at_bound = others
+                return found
+        return found if self.system is None and not self._in_space else None
+
     def _close_what_may_push(self) -> None:
         """Take contacts without force that have some where all share their forces otherwise for closed."""
         stay = self._sharing.stay(self._resultant, np.zeros_like(self.push), np.zeros(self.problem.ties))
@@ -191,7 +223,7 @@ class Linearised:
             slip[free], push[free] = rates.slip[free], rates.normal_force[free]
         if len(begins):
             along = self._drag[begins] / lengths(self._drag[begins])[:, None]
-            slip[begins] = border_states.FAR * along
+            slip[begins] = FAR * along
             across = np.column_stack([-along[:, 1], along[:, 0]])
             problem = slips_across(problem, begins, across)
         answer = Parts(self._answer.displacement, push, slip, np.concatenate([self._answer.tie, np.zeros(len(begins))]))
@@ -205,7 +237,7 @@ class Linearised:
     @property
     def has_events(self) -> bool:
         """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
-        return not self.turns and (not self.redundant or not self.is_sparse or self.sharings_are_few)
+        return not (self.turns or self.shares) and (not self.redundant or not self.is_sparse or self.sharings_are_few)
 
     @property
     def turns(self) -> bool:
@@ -220,6 +252,8 @@ class Linearised:
     @property
     def has_bounds(self) -> bool:
         """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
+        if self.shares is not None:
+            return False
         if not (self.turns or self.redundant):
             return self.sure
         known = self.extended_answer
@@ -227,6 +261,8 @@ class Linearised:
 
     def only(self, of: str) -> bool:
         """Return whether normal or tie forces are unique although contacts or ties are redundant."""
+        if self.shares is not None:
+            return self.shares.only(of)
         asked = self.sharings_are_few and of in ("normal_force", "tie_force")
         return asked and self._sharing.only(ties=of == "tie_force")
 
@@ -247,7 +283,7 @@ class Linearised:
         if not self.problem.frictional:
             return None
         if self.system is not None:
-            return None if self.system.regular else SINGULAR
+            return None if self.system.regular or self.shares else SINGULAR
         free = self.borders.free
         many = len(free) > 1 and self.solution.certificate.uniqueness  # all slips of one contact are found
         return f"{named(self.problem, free)} {IN_SPACE}" if many else None
@@ -260,6 +296,8 @@ class Linearised:
         NoRates
             There are none towards a side, or several.
         """
+        if self.shares is not None:
+            return self._sharing_sides(self.shares, direction)
         shifted = self._is_shifted(direction)
         if self.system is not None and not shifted:
             ahead = self._in_states(self.system, direction)
@@ -269,6 +307,22 @@ class Linearised:
         if len(self.undecided) or shifted:
             return towards(direction.reversed()).reversed(), ahead
         return ahead, ahead
+
+    def _sharing_sides(self, shares: FrictionSharing, direction: Direction) -> tuple[Rates, Rates]:
+        """Return the rates where contacts with friction share forces; those of forces are of one way to share them."""
+        if not shares.turns_alike(direction):
+            raise NoRates(REDUNDANT)
+        still = not (direction.whole_gap.any() or direction.tie_value.any() or direction.slip_origin.any())
+        if self.system is not None and still:
+            ahead = replace(self._in_states(self.system, direction), shared=True)
+            return ahead, ahead
+        others = np.setdiff1d(self.undecided, shares.members)
+        borders = replace(self.borders, undecided=others)
+        back, ahead = (
+            shares.continued(along, borders, self._system, self._in_states)
+            for along in (direction.reversed(), direction)
+        )
+        return back.reversed(), ahead
 
     def _is_shifted(self, direction: Direction) -> bool:
         """Return whether contacts that share their forces come to share them otherwise."""
@@ -401,16 +455,13 @@ class Linearised:
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction in the plane of the one combination of states that they lead to."""
-        choices = [self.borders.choices(int(i)) for i in self.undecided]
-        if number_of_combinations(choices) > border_states.MOST_COMBINATIONS:
-            raise NoRates(f"{len(choices)} contacts at the border of two states have too many combinations of them")
         holding: list[Rates] = []
-        for status in combinations_at(self.undecided, choices, self.status):
+        for status in self.borders.combinations():
             begins = self.borders.free[status[self.borders.free] == SLIP_ON]
-            turned = self._turned(status, begins, direction)
+            turned = self.borders.turned(status, begins, direction, self._system, self._in_states)
             for system in turned if len(begins) else [self._system(status)]:
                 if not system.regular:
-                    self._refuse_many(system, direction)
+                    refuse_many(self.borders, system, direction, self._in_states)
                     continue
                 found = self._in_states(system, direction)
                 known = any(self.scales.are_one(found, other) for other in holding)
@@ -422,50 +473,6 @@ class Linearised:
             raise NoRates(f"{count} the answer: {named(self.problem, self.undecided)} may change its state")
         return holding[0]
 
-    def _turned(self, status: Status, begins: Indices, direction: Direction) -> Iterator[RateSystem]:
-        """Yield systems in which some contacts in space begin to slip along their friction, by Newton's method."""
-        held = status.copy()
-        held[begins] = STICK
-        system = self._system(held)
-        moved = [self._in_states(system, unit) for unit in self.borders.unit_slips(begins)]
-        for rates in self.borders.starts(self._in_states(system, direction), moved, begins):
-            for _ in range(border_states.MOST_TURNS):
-                system, before = self._system(status, rates), rates.slip[begins]
-                rates = self._in_states(system, direction)
-                changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
-                if not (system.regular and np.all(size > 0)):
-                    break
-                if np.all(changed <= border_states.TURNS_NO_MORE * size):
-                    yield system
-                    break
-
-    def _refuse_many(self, system: RateSystem, direction: Direction) -> None:
-        """Raise `NoRates` where many rates may continue the answer in a combination whose system has no inverse.
-
-        Those rates x + N z, N what the system leaves open, whose signs s(x) + s(N) z lead to where it says are a
-        polyhedron: forces are not unique where s(N) z >= 0 has solutions, or where it is more than a point.
-        """
-        zero = Direction.zero(self.problem)
-        many = NoRates(f"{named(self.problem, self.undecided)} may come to share forces or motions in many ways")
-        if self._drag.shape[1] > 1:
-            raise many
-        basis = [system.of_parts(zero, part, None, zero.slip_origin) for part in system.unresolved()]
-        if not basis:
-            return
-        turns = np.column_stack([self.borders.signs(one, zero, system) for one in basis])
-        if not np.all(np.isfinite(turns)) or width_within(turns, np.zeros(len(turns)), 1.0) > SEEN:
-            raise many
-        try:
-            found = self._in_states(system, direction)
-        except NoRates:
-            return
-        if missed(self.problem, self.scales, found, direction, system) > SEEN:  # those that fit best are no rates
-            return
-        signs = self.borders.signs(found, direction, system)
-        size = max(float(np.max(abs(signs), initial=0.0)), TINY)
-        if width_within(turns, signs / size, np.inf) > SEEN:
-            raise many
-
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
 
@@ -475,7 +482,7 @@ class Linearised:
             turns, whole = self.scales.of("gap", sign * rates.gap), self.scales.largest(rates)
             members = self._touching[turns[self._touching] <= SAME * whole]
             moved = abs(self.problem.normal) @ abs(rates.displacement)
-            rounded = (abs(rates.gap) <= border_states.RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
+            rounded = (abs(rates.gap) <= RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
             gap = np.where(rounded, 0.0, sign * rates.gap)
             yield Sharing(self.problem, members, self.scales.units).reach(self._resultant, sign * rates.reaction)
             apart = np.setdiff1d(np.flatnonzero(self.status == OPEN), self.grazing)

@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.derivatives import QUANTITIES
-from contactqp.analysis.rate_data import slips_that_begin
+from contactqp.analysis.slip_law import slips_that_begin
 from contactqp.linalg.measures import lengths
 
 STEP = 2.0**-20  # so that what is stepped to is a double exactly

@@ -9,8 +9,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.derivatives import QUANTITIES
-from contactqp.analysis.rate_data import SlipLaw
 from contactqp.analysis.rate_systems import RateSystem
+from contactqp.analysis.slip_law import SlipLaw
 from contactqp.linalg.extended import Extended
 from contactqp.model.coulomb import SLIP_ON
 from tests.analysis.slips_in_space import Reference, decimals

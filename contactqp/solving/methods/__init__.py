@@ -25,7 +25,6 @@ from contactqp.solving.methods import (
     lagrange_multiplier,
     master_slave,
     penalty,
-    perturbed_lagrangian,
 )
 from contactqp.solving.methods.method import Method, Settings
 
@@ -58,7 +57,6 @@ _MODULES = (
     master_slave,
     lagrange_multiplier,
     penalty,
-    perturbed_lagrangian,
     augmented_lagrangian,
 )
 _REGISTRY: dict[str, Method] = {method.name: method for module in _MODULES for method in module.METHODS}

@@ -7,11 +7,10 @@ import scipy.sparse as sp
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
 from contactqp.solving.methods.augmented_lagrangian import solve_augmented_lagrangian
-from contactqp.solving.methods.lagrange_multiplier import solve_lagrange_multiplier
+from contactqp.solving.methods.lagrange_multiplier import solve_lagrange_multiplier, solve_perturbed_lagrangian
 from contactqp.solving.methods.master_slave import solve_master_slave
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.penalty import solve_penalty
-from contactqp.solving.methods.perturbed_lagrangian import solve_perturbed_lagrangian
 
 EXACT = {
     "master-slave": (solve_master_slave, {}),

@@ -14,7 +14,6 @@ from contactqp.solving.methods import (
     lagrange_multiplier,
     master_slave,
     penalty,
-    perturbed_lagrangian,
 )
 from contactqp.solving.methods.augmented_lagrangian import solve_augmented_lagrangian
 from contactqp.solving.methods.method import Settings
@@ -32,7 +31,7 @@ from tests.solving.methods.static_examples import (
     require_near,
 )
 
-MODULES = (master_slave, lagrange_multiplier, penalty, perturbed_lagrangian, augmented_lagrangian)
+MODULES = (master_slave, lagrange_multiplier, penalty, augmented_lagrangian)
 CLASSICAL = tuple(method for module in MODULES for method in module.METHODS)
 
 

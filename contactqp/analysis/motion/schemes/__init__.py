@@ -5,11 +5,11 @@ A file exports `SCHEMES`, the entries of the schemes that it holds; what a schem
 
 from __future__ import annotations
 
-from contactqp.analysis.motion.schemes import moreau_jean, newmark, paoli_schatzman
+from contactqp.analysis.motion.schemes import impact_laws, newmark
 from contactqp.analysis.motion.schemes.scheme import SchemeEntry
 from contactqp.errors import InvalidProblem, shown
 
-_MODULES = (moreau_jean, newmark, paoli_schatzman)
+_MODULES = (impact_laws, newmark)
 
 SCHEMES: dict[str, SchemeEntry] = {entry.name: entry for module in _MODULES for entry in module.SCHEMES}
 

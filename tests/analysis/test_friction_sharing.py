@@ -1,0 +1,210 @@
+"""Contacts with friction that share their forces have the rates of what is unique, and none of what is not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.analysis import friction_sharing
+from contactqp.analysis.rate_data import REDUNDANT
+
+K = np.array([[4.0, 1.0], [1.0, 3.0]])
+FLOOR, WALL = ([0.0, -1.0], [1.0, 0.0]), ([1.0, 0.0], [0.0, 1.0])
+
+
+def node(load: list[float], *sides: tuple[list[float], list[float]], friction: Any = 0.25) -> cq.ContactProblem:
+    """Return one node that touches some sides, each a normal and a tangent."""
+    normal, tangent = ([side[k] for side in sides] for k in (0, 1))
+    return cq.ContactProblem(K, load, normal, np.zeros(len(sides)), tangent=tangent, friction=friction)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "length"), [(1.0, 1.0), (2.0**-30, 2.0**30), (2.0**30, 2.0**-30)])
+def test_a_node_in_a_corner_sticks_however_its_walls_share_the_load(force: float, length: float) -> None:
+    problem = node([2.0, -3.0], FLOOR, WALL, friction=0.3)
+    problem = problem.replace(stiffness=K * force / length, load=problem.load * force)
+    answer = cq.solve(problem)
+    assert "forces not unique" in answer.certificate.uniqueness
+    for name, direction, moved in (
+        ("load", [1.0, 1.0], [0.0, 0.0]), ("friction", [1.0, 2.0], [0.0, 0.0]), ("stiffness", np.eye(2), [0.0, 0.0]),
+        ("gap", [1.0, 1.0], [length, -length]),
+    ):  # fmt: skip
+        found = answer.derivative("displacement", name, direction)
+        assert found.bound is None
+        # Along gaps the slips of the other wall make it slip, or open: that has two sides.
+        assert name == "gap" or found.value == pytest.approx(moved, abs=1e-12 * length)
+    load = answer.derivative("reaction", "load", [1.0, 1.0])
+    assert load.value == pytest.approx([1.0, 1.0])
+    for of in ("normal_force", "friction_force"):
+        found = answer.derivative(of, "load", [1.0, 1.0])
+        assert (found.value, found.right, found.reason) == (None, None, REDUNDANT)
+    assert answer.pullback("reaction", [2.0, 3.0], "load") == pytest.approx([2.0, 3.0])
+    with pytest.raises(cq.InvalidProblem, match="redundant"):
+        answer.pullback("normal_force", [1.0, 0.0], "load")
+    with pytest.raises(cq.InvalidProblem, match="redundant"):
+        answer.pullback("displacement", [1.0, 0.0], "gap")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pull", [0.25, 0.75, 2.0])
+def test_the_same_floor_twice_has_the_rates_of_one(pull: float) -> None:
+    """At 0.75, the bound of 0.25 x 3, to either side; of slips it is by the coefficient of both."""
+    K_plain = np.diag([4.0, 3.0])
+    one = cq.ContactProblem(K_plain, [pull, -3.0], [FLOOR[0]], [0.0], tangent=[FLOOR[1]], friction=0.25)
+    two = cq.ContactProblem(K_plain, [pull, -3.0], [FLOOR[0]] * 2, [0.0] * 2, tangent=[FLOOR[1]] * 2, friction=0.25)
+    answer, truth = cq.solve(two), cq.exact(one, enclose=False)
+    for name, direction, of_one in (
+        ("load", [1.0, 1.0], [1.0, 1.0]), ("gap", [1.0, 1.0], [1.0]), ("gap", [3.0, 1.0], None),
+        ("slip_origin", [[1.0], [1.0]], [[1.0]]), ("friction", 1.0, [1.0]), ("stiffness", np.eye(2), np.eye(2)),
+    ):  # fmt: skip
+        for of in ("displacement", "reaction", "energy"):
+            found = answer.derivative(of, name, direction)
+            if of_one is None:  # the nearer one is the floor: ahead that of 1, back that of 3
+                sides = [truth.derivative(of, name, [size]) for size in (3.0, 1.0)]
+                exact = sides[0].left, sides[1].right
+            elif name == "friction" and pull == 0.75:  # what slips would take more or less, as forces are shared
+                continue
+            else:
+                side = truth.derivative(of, name, of_one)
+                exact = side.left, side.right
+            for rate, expected in zip((found.left, found.right), exact, strict=True):
+                assert np.asarray(rate) == pytest.approx(np.asarray(expected, dtype=float), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_a_tie_across_a_sticking_contact_takes_a_share_of_its_friction_alone() -> None:
+    tied = cq.solve(
+        cq.ContactProblem(K, [0.2, -3.0], [FLOOR[0]], [0.0], [FLOOR[1]], 0.3, tie=[[1.0, 0.0]], tie_value=[0.0])
+    )
+    assert tied.derivative("normal_force", "load", [0.0, -1.0]).value == pytest.approx([1.0])
+    assert tied.derivative("friction_force", "load", [1.0, 0.0]).reason == REDUNDANT
+    assert tied.derivative("tie_force", "load", [1.0, 0.0]).reason == REDUNDANT
+    # As the tie moves the contact begins to slip.
+    moved = tied.derivative("displacement", "tie_value", [1.0])
+    assert (moved.left, moved.right) == (pytest.approx([1.0, 0.0]), pytest.approx([1.0, 0.0]))
+
+
+@pytest.mark.slow
+def test_a_node_at_the_bound_of_its_floor_slips_away_from_the_wall_and_not_towards_it() -> None:
+    corner = cq.solve(cq.ContactProblem(np.diag([4.0, 3.0]), [-0.75, -3.0], *_sides(FLOOR, WALL), friction=0.25))
+    found = corner.derivative("displacement", "load", [1.0, 0.0])
+    assert (found.left, found.right) == (pytest.approx([0.25, 0.0]), pytest.approx([0.0, 0.0], abs=1e-14))
+
+
+def _sides(*sides: tuple[list[float], list[float]]) -> tuple[Any, Any, Any]:
+    return [side[0] for side in sides], [0.0] * len(sides), [side[1] for side in sides]
+
+
+def test_floors_of_other_coefficients_that_may_let_go_have_no_rates() -> None:
+    """A load of 0.2 under 3 sticks by the one of 0.3, and slips where the smooth one takes more than 2.33."""
+    for load in ([0.2, -3.0], [1.5, -3.0]):
+        smooth = cq.solve(node(load, FLOOR, FLOOR, friction=[0.3, 0.0]))
+        found = smooth.derivative("displacement", "load", [1.0, 0.0])
+        assert (found.value, found.left, found.right, found.exists) == (None, None, None, False)
+        assert found.reason
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_other_states_that_exert_the_same_force_are_not_overlooked(
+    blind: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken for steady, the floor that may let go would have the rates of one that sticks."""
+    if blind:
+        monkeypatch.setattr(friction_sharing._Group, "is_steady", lambda *_: True)
+    smooth = cq.solve(node([0.2, -3.0], FLOOR, FLOOR, friction=[0.3, 0.0]))
+    assert (smooth.derivative("displacement", "load", [1.0, 0.0]).value is None) != blind
+
+
+IN_SPACE = (
+    ([0.0, 0.0, -1.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    ([0.0, 1.0, 0.0], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+)
+
+
+def edge(load: list[float], friction: Any = 0.3) -> cq.Solution:
+    normal, tangent = [one for one, _ in IN_SPACE], [row for _, rows in IN_SPACE for row in rows]
+    return cq.solve(cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), load, normal, [0.0, 0.0], tangent, friction))
+
+
+def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
+    held = edge([0.2, 3.0, -3.0])
+    assert held.contact_status.tolist() == ["stick", "stick"]
+    found = held.derivative("displacement", "load", [1.0, 1.0, 1.0])
+    assert found.value == pytest.approx([0.0, 0.0, 0.0], abs=1e-14)
+    assert (found.bound, found.reach) == (None, None)
+    assert held.derivative("reaction", "load", [1.0, 2.0, 3.0]).value == pytest.approx([1.0, 2.0, 3.0])
+    assert held.derivative("normal_force", "load", [1.0, 1.0, 1.0]).reason == REDUNDANT
+    assert held.derivative("displacement", "gap", [1.0, 1.0]).reason == REDUNDANT
+    assert held.pullback("reaction", [1.0, 2.0, 3.0], "load") == pytest.approx([1.0, 2.0, 3.0])
+    # It slips along the edge by (5 - 0.3 x 6)/4, and along the load at a quarter of its rate.
+    slid = edge([5.0, 3.0, -3.0])
+    assert slid.derivative("displacement", "load", [1.0, 0.0, 0.0]).value == pytest.approx([0.25, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_slips_that_may_begin_in_space_are_not_overlooked(blind: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two floors the smooth one may take so much that the other lets go, in the direction of what pulls."""
+    if blind:
+        monkeypatch.setattr(friction_sharing._Group, "may_move", lambda *_: False)
+        monkeypatch.setattr(friction_sharing._Group, "is_steady", lambda *_: True)
+    normal, tangent = IN_SPACE[0]
+    floors = [normal] * 2, [0.0, 0.0], tangent * 2, [0.3, 0.0]
+    smooth = cq.solve(cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), [0.2, 0.1, -3.0], *floors))
+    assert (smooth.derivative("displacement", "load", [1.0, 0.0, 0.0]).value is None) != blind
+
+
+def in_corners(rng: np.random.Generator) -> cq.ContactProblem:
+    """Draw nodes that touch up to three walls each, some of them the same, with coefficients of their own and ties."""
+    nodes = int(rng.integers(1, 4))
+    n = 2 * nodes + int(rng.integers(0, 2))
+    shape = rng.integers(-2, 3, (n, n))
+    walls = (FLOOR, WALL, ([-1.0, 0.0], [0.0, 1.0]), ([0.6, 0.8], [-0.8, 0.6]), ([0.0, 1.0], [1.0, 0.0]))
+    normal, tangent = [], []
+    for k in range(nodes):
+        for _ in range(int(rng.choice([1, 2, 2, 3]))):
+            pair = np.zeros((2, n))
+            pair[:, 2 * k : 2 * k + 2] = walls[rng.integers(0, 3 if rng.random() < 0.7 else 5)]
+            normal, tangent = [*normal, pair[0]], [*tangent, pair[1]]
+    m = len(normal)
+    friction = rng.choice([0.25, 0.5, 0.125, 0.0], m) if rng.random() < 0.5 else np.full(m, rng.choice([0.25, 0.5]))
+    tie = dict(tie=[tangent[rng.integers(0, m)]], tie_value=[0.0]) if rng.random() < 0.3 else {}
+    gap = 0.25 * (rng.random(m) < 0.2)
+    return cq.ContactProblem(
+        (shape @ shape.T + 2 * np.eye(n)).astype(float), rng.integers(-4, 5, n).astype(float), np.array(normal), gap,
+        np.array(tangent), friction, **tie,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [0, 60])
+def test_rates_where_forces_are_shared_are_differences_of_answers(first: int) -> None:
+    seen: Counter[str] = Counter()
+    for seed in range(first, first + 60):
+        rng, step = np.random.default_rng(seed), 2.0**-20
+        problem = in_corners(rng)
+        if not problem.frictional:
+            continue
+        try:
+            answer = cq.solve(problem)
+        except cq.ContactQPError:
+            continue
+        if answer.certificate.uniqueness != ("forces not unique",):
+            continue
+        m = problem.contacts
+        along = dict(load=rng.standard_normal(problem.dimension), gap=rng.standard_normal(m),
+                     friction=rng.uniform(0, 1, m) * (problem.friction > 0))  # fmt: skip
+        for name, direction in along.items():
+            found = answer.derivative("displacement", name, direction)
+            seen[f"{name} {found.right is not None}"] += 1
+            for sign, rate in ((-1, found.left), (1, found.right)):
+                if rate is not None:
+                    changed = problem.replace(**{name: getattr(problem, name) + sign * step * direction})
+                    moved = cq.solve(changed, warm_start=answer).displacement - answer.displacement
+                    assert rate == pytest.approx(moved / (sign * step), abs=1e-3 * max(1, np.max(abs(moved)) / step))
+    assert seen["load True"] >= 4
+    assert seen["load False"] <= 1  # a tie that presses a contact without force against its wall may hold any friction
+    assert seen["gap True"] + seen["friction True"] >= 5
