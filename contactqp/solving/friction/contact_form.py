@@ -238,7 +238,8 @@ WORTH_REFINING = 1e-5
 # Forces that balance the load with less than this part of what would deform the bodies by the typical gap are small:
 # the bodies move as if they were rigid.
 SMALL_FORCES = 0.1
-# Contacts of which all combinations of states take less than the long attempts of algorithms: 3^5 in space.
+# Contacts in space of which all combinations of states, 3^5, take less than the long attempts of algorithms; in the
+# plane they are as many as are listed.
 MOST_TRIED = 5
 # Combinations near that of the best iterate may take so many operations, about a second: counted, not timed, so that
 # the verdict is the same anywhere. A correction takes OVERHEAD, the number of equations cubed, and PER_ENTRY of K.
@@ -326,7 +327,8 @@ def _on_form(
 
     start, deadline = _start(form, contacts, settings, balanced), Deadline(settings.time_limit)
     if algorithm is None:
-        attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= MOST_TRIED else 0)
+        few = MOST_CONTACTS if form.d == 2 else MOST_TRIED
+        attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= few else 0)
         conflict = lambda: refuse_conflict(problem, condensation)  # noqa: E731
         outcome = run_any(form, settings, start, accepted, conflict, attempts, MOST_TRIED)
     else:
