@@ -50,6 +50,7 @@ from contactqp.linalg.equilibration import (
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
+from contactqp.linalg.least_norm import without_needless_forces
 from contactqp.linalg.measures import bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
@@ -129,6 +130,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     state = settled(twin, start, Effort()) if finished else solved_from(twin, start, Effort(), claimed=False)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
+    state = without_needless_forces(state)
     found = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found

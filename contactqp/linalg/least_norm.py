@@ -6,6 +6,7 @@ Forces of redundant contacts with the least sum likewise, and sets of contacts t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,13 @@ from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.equilibration import worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
 from contactqp.linalg.schur import factorised
-from contactqp.linalg.sparse_saddle import ClosedState, Effort, solved_on, with_right_signs
+from contactqp.linalg.sparse_saddle import SOLVED, ClosedState, Effort, solved_on, with_right_signs
 from contactqp.model.arrays import EPS, Array, Indices, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -32,6 +33,8 @@ WITHIN_ROUNDING = 8 * EPS
 SHIFT_CORRECTIONS = 3
 # Forces that are so many times those that act press against each other.
 PRESSED = 1e3
+# Forces beneath this part of the largest may be what refinement has left.
+FEW_DIGITS = 1e-18
 # Changes of contacts one by one, times unknowns and contacts: where few are open at the end, some dozens lead there.
 SINGLE_CHANGES = 600_000
 
@@ -165,6 +168,33 @@ def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
     start = ExtendedAnswer(state.answer.displacement, extend(force), None, extend(size * found.x[count:]))
     least = with_right_signs(solved_on(problem, kept, start, effort), effort)
     return least if least.holds else state
+
+
+def without_needless_forces(state: ClosedState) -> ClosedState:
+    """Return a state without the forces of contacts and ties that nothing asks for.
+
+    Where no load acts and displacements strain nothing, as where the problem is but to meet constraints, the forces are
+    zero, and what refinement has left of them, however little, would be all that meets there. That is so for rows that
+    hang together by the unknowns which they share if none of these has a load, and K u vanishes there to the last
+    digits of the sum |K||u|.
+    """
+    problem, closed, answer = state.problem, np.flatnonzero(state.closed), state.answer.double()
+    force = abs(np.concatenate([answer.normal_force[closed], answer.tie_force]))
+    if not np.any((force > 0) & (force < FEW_DIGITS * state.force)):
+        return state
+    rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
+    carried = state.left.force.double() + problem.normal.T @ answer.normal_force + problem.tie.T @ answer.tie_force
+    strain = problem.stiffness_sizes @ abs(answer.displacement)
+    asks = (problem.load_size > 0) | ((abs(carried) > SOLVED * strain) & (problem.diagonal > 0))
+    part = connected_parts(sp.bmat([[None, rows], [rows.T, None]], format="csr"))[1]
+    needed = np.isin(part[: len(force)], part[len(force) :][asks])
+    if needed.all():
+        return state
+    kept = np.ones(problem.contacts)
+    kept[closed] = needed[: len(closed)]
+    normal = state.answer.normal_force.times(kept)
+    tie = state.answer.tie_force.times(needed[len(closed) :].astype(float))
+    return ClosedState.of(problem, state.closed, replace(state.answer, normal_force=normal, tie_force=tie))
 
 
 def carried_by_rows(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.energy_bounds import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
-from contactqp.linalg import pardiso
+from contactqp.linalg import least_norm, pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
 from contactqp.linalg.existence import (
@@ -35,7 +35,6 @@ from contactqp.linalg.existence import (
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.interior_point import remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
-from contactqp.linalg.least_norm import least_solution, presses, shift_to_least_norm, with_least_forces
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.schur import LARGE
 from contactqp.linalg.sparse_saddle import (
@@ -97,8 +96,6 @@ ENOUGH = 1e-18
 NEARLY = 1e-5
 # HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
 LAST, LONGEST = "highs", 20.0
-
-
 SPARSE = "sparse"  # the name of this route where others are tried before
 
 
@@ -295,9 +292,10 @@ class SparseRun(Run):
             self._refuse_overlap()
         if self._state is None:
             return Final(replace(self.candidate.answer, friction_force=None))
-        if presses(self._state) and not unique_on(self._state).forces:
+        if least_norm.presses(self._state) and not unique_on(self._state).forces:
             with in_any_time():  # the problem is solved, and this takes little beside that
-                self._state = with_least_forces(self._state, self._effort)
+                self._state = least_norm.with_least_forces(self._state, self._effort)
+        self._state = least_norm.without_needless_forces(self._state)
         given = _candidate(self._state)
         remember(self._state, given.answer)
         return self._at_rest(Final(self._scaling.unscale(given).answer, polished=True))
@@ -325,8 +323,9 @@ class SparseRun(Run):
             return final
         if self._state is None or unique_on(self._state).displacement:
             return final  # nothing is free, and the time to the answer has no condensation in it
-        answer = final.answer
-        shift, free = shift_to_least_norm(problem, condense(problem), answer, pushing_contacts(problem, answer))
+        answer, condensation = final.answer, condense(problem)
+        pushing = pushing_contacts(problem, answer)
+        shift, free = least_norm.shift_to_least_norm(problem, condensation, answer, pushing)
         if not free.shape[1]:
             return final
         resting = replace(answer, displacement=answer.displacement + shift)
@@ -489,7 +488,7 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
         if not np.any(left[kept]):
             break
         try:
-            weights = weights * (1.0 - np.sign(weights) * least_solution(part[kept], left[kept]))
+            weights = weights * (1.0 - np.sign(weights) * least_norm.least_solution(part[kept], left[kept]))
         except BackendFailed:
             return None
     left = (across @ extend(weights)).double()

@@ -198,3 +198,17 @@ def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: in
     assert upper - lower <= 1e-14 * abs(lower)
     raw = cq.solve(program, "clarabel").raw
     assert solution.energy == pytest.approx(program.energy(raw.displacement), rel=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_constraints_alone_are_met_without_forces(seed: int) -> None:
+    """No energy and no load: any displacement within the constraints is an answer, and no force is needed."""
+    rng, n = np.random.default_rng(seed), 8
+    A, G, x = rng.integers(-3, 4, (3, n)), rng.integers(-3, 4, (6, n)), rng.integers(-2, 3, n)
+    h, lb = G @ x + rng.integers(0, 2, 6), x - rng.integers(0, 3, n)
+    solution = cq.solve(cq.ContactProblem.from_qp(np.zeros((n, n)), np.zeros(n), G, h, A, A @ x, lb))
+    u = solution.displacement
+    assert solution.certificate.proven
+    assert not np.any(np.concatenate([solution.normal_force, solution.tie_force]))
+    assert np.all(np.concatenate([G @ u - h, lb - u]) <= 1e-12)
+    assert A @ u == pytest.approx(A @ x, abs=1e-12)
