@@ -79,9 +79,10 @@ def impact(
         "modified-mass": trapezoidal rule, contact nodes without mass (taken from M by `redistributed_mass` where M has
         not been); no oscillations of a contact node's own mass, energy kept. "modified-mass-central": the same with
         central differences, explicit but for the contact nodes. "paoli-schatzman": central differences with a
-        projection (`restitution`). "deuflhard-krause-ertel": contact-stabilised Newmark. "newmark": the trapezoidal
-        rule with Signorini's conditions at the end of the step; its energy blows up at impacts. "backward-euler":
-        loses energy everywhere. "penalty": central differences with contact springs `penalty`.
+        projection (`restitution`). "deuflhard-krause-ertel": contact-stabilised Newmark, for bodies: single masses
+        stay at their stop. "newmark": the trapezoidal rule with Signorini's conditions at the end of the step; its
+        energy blows up at impacts. "backward-euler": loses energy everywhere. "penalty": central differences with
+        contact springs `penalty`.
     load : function of time, optional
         f (n,) at any instant.
     theta : float

@@ -117,3 +117,21 @@ def test_energy_that_a_load_puts_in_is_not_noted() -> None:
     history = cq.impact(ball, [2.0], [0.0], [0.0], duration=1.1, time_step=0.01, restitution=1.0)
     assert history.energies[-1].total > 2.0
     assert not any(note.startswith("the energy") for note in history.notes)
+
+
+def test_a_single_mass_that_its_scheme_leaves_at_the_stop_is_told() -> None:
+    """The contact-stabilised scheme takes momentum by the body behind the contact: here there is none."""
+    spring = cq.ContactProblem([[1.0]], [0.0], [[1.0]], [0.0])
+    history = cq.impact(spring, [1.0], [-1.0], [0.0], 3.0, 1e-2, "deuflhard-krause-ertel")
+    assert history.displacements[-1, 0] == 0.0
+    assert history.velocities[-1, 0] == pytest.approx(1.0, abs=1e-4)
+    (note,) = history.notes
+    assert "contact 0 rests at its obstacle in step 160 and keeps a velocity of 1 towards it" in note
+    assert "100% of the energy" in note
+    bouncing = cq.impact(spring, [1.0], [-1.0], [0.0], 3.0, 1e-2, "moreau-jean", restitution=1.0)
+    assert not [note for note in bouncing.notes if "keeps a velocity" in note]
+
+
+def test_a_mesh_behind_the_contact_takes_its_momentum() -> None:
+    history, _ = thrown_rod("deuflhard-krause-ertel", courant=1.0)
+    assert not [note for note in history.notes if "keeps a velocity" in note]

@@ -253,7 +253,8 @@ def _not_of_step(motion: Motion, k: int) -> Iterator[str]:
 
 
 def notes_on_motion(motion: Motion) -> Iterator[str]:
-    """Yield the notes on a whole motion: how deep it penetrates, and how much energy its scheme has made."""
+    """Yield the notes on a whole motion: those of its scheme, how deep it penetrates, and what energy has grown."""
+    yield from motion.scheme.notes(motion.states)
     yield from _notes_on_penetration(motion)
     yield from _notes_on_energy(motion)
 

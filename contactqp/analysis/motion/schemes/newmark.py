@@ -22,11 +22,13 @@ The contact-stabilised scheme (Deuflhard, Krause and Ertel 2008) projects the pr
     M (u+ - w) + h^2/2 (K (u + u+) / 2 + E'l + A'nu - (f + f+) / 2) = 0,    E_N u+ <= g,  l_N >= 0,  complementary
     v+ = v + 2 (u+ - w) / h
 
-The forces of the projection never enter the velocity: energy that an impact takes is lost.
+The forces of the projection never enter the velocity: a contact node keeps its own until the body behind it has taken
+its momentum. Where the mass at the contact is all there is nothing does, and it stays at its obstacle for ever.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -41,6 +43,11 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.dense import Factorization
 from contactqp.linalg.factorization import factorise
 from contactqp.model.arrays import Vector
+
+# Velocities of contacts that rest are worth a note where they have more than this part of the energy.
+LOST_IN_CONTACT = 0.05
+# A contact rests that moves by less than this part of what its velocity says.
+AT_REST = 1e-6
 
 
 class Trapezoidal(Scheme):
@@ -148,6 +155,35 @@ class ContactStabilised(Scheme):
         motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
         return StepResult(before.displacement + motion, normal, friction, tie, motion), found
+
+    def notes(self, states: Sequence[State]) -> Iterator[str]:
+        """Yield how much of the energy is in velocities towards obstacles at which contacts rest, where it is much.
+
+        Contact i rests if two steps change its gap by nothing beside h E_i v > 0. Its kinetic energy, what else moves
+        with it left aside, is (E_i v)^2 / (2 E_i M^-1 E_i'), with M taken as its diagonal.
+        """
+        problem, mass = self.body.problem, self.body.mass.diagonal()
+        moved_by = problem.normal.power(2) @ np.divide(1.0, mass, out=np.zeros_like(mass), where=mass > 0)
+        worst, place = LOST_IN_CONTACT, None
+        lengths = [problem.normal @ state.displacement for state in states]
+        for k, state in enumerate(states[2:], start=2):
+            towards = problem.normal @ state.velocity
+            moved = abs(lengths[k] - lengths[k - 1]) + abs(lengths[k - 1] - lengths[k - 2])
+            rests = (moved <= AT_REST * self.body.step * towards) & (towards > 0) & (moved_by > 0)
+            if not rests.any():
+                continue
+            kept = np.divide(towards**2, 2 * moved_by, out=np.zeros_like(towards), where=rests)
+            u, v = state.displacement, state.velocity
+            part = float(kept.sum()) / (0.5 * float(u @ (self.body.stiffness @ u) + v @ (self.body.mass @ v)))
+            if part > worst:
+                worst, place = part, (k, int(np.argmax(kept)), float(towards[np.argmax(kept)]))
+        if place is not None:
+            step, contact, speed = place
+            yield (
+                f"{problem.contact_name(contact)} rests at its obstacle in step {step} and keeps a velocity of "
+                f"{speed:.6g} towards it, and such velocities have {worst:.0%} of the energy: {self.name!r} takes no "
+                "momentum from the mass at contacts; take a finer mesh there, or 'moreau-jean' where masses are few"
+            )
 
 
 class ModifiedMassCentral(TwoStep):

@@ -11,7 +11,7 @@ with Coulomb's law for l_T and the velocities of slip, and an impact law where v
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -197,6 +197,11 @@ class Scheme(ABC):
         """Return the results that led from one state to the next: what `accept` was given, from what it made of it."""
         u, motion = after.displacement, after.displacement - before.displacement
         return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, motion),)
+
+    def notes(self, states: Sequence[State]) -> Iterator[str]:
+        """Yield what users of a motion should know of how this scheme made it; by default nothing."""
+        del states
+        yield from ()
 
     def contact_motion(self, displacements: Block, velocities: Block) -> Block:
         """Return the motions (steps, n) along which contact forces work in each step, from all states (steps + 1,
