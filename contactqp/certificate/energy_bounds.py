@@ -71,6 +71,8 @@ from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 REACH = 1e3
 # Motions and forces that answer one by this part of 1/d are taken for free.
 ALMOST_FREE = 1e-3
+# The regularisation that tells soft motions and nearly dependent rows from free and redundant ones.
+NEARER = 1e-11
 # A residual of equilibrium that costs more than this part of the energy is weighed against the constraints around it.
 NOTABLE = 1e-11
 # A bound of an unknown is a quotient of doubles, which rounds it by at most this part of itself.
@@ -439,19 +441,28 @@ def unique_on(state: ClosedState) -> Unique:
     """Return whether displacement and forces on these closed contacts are unique.
 
     The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
-    rows ask for differently, by 1/d times it. Forces and gaps at random do both.
+    rows ask for differently, by 1/d times it. Forces and gaps at random do both. Soft bodies, and rows that nearly
+    depend on each other, as differences of thousands of unknowns do, may answer by as much: a smaller d tells them.
     """
-    problem, closed = state.problem, np.flatnonzero(state.closed)
-    saddle = kept_saddle(problem, state.closed, REGULARISATIONS[0], Effort())
-    random = np.random.default_rng(0)
-    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in (problem.dimension, len(closed), problem.ties))
+    unique = Unique(*_answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state))
+    if unique.displacement and unique.forces:
+        return unique
+    try:
+        nearer = SparseSaddle(state.problem, np.flatnonzero(state.closed), NEARER)
+    except BackendFailed:
+        return unique
+    displacement, forces = _answered(nearer, state)
+    return Unique(unique.displacement or displacement, unique.forces or forces)
+
+
+def _answered(saddle: SparseSaddle, state: ClosedState) -> tuple[bool, bool]:
+    """Return whether displacements and forces answer those at random by less than what nothing resists does."""
+    random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
+    sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
+    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
     moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]
-    pushed = saddle.solve(force * 0.0, gap, tie)[1:]
-    most = ALMOST_FREE / REGULARISATIONS[0]
-    return Unique(
-        float(abs(moved).max(initial=0.0)) < most,
-        float(max(abs(values).max(initial=0.0) for values in pushed)) < most,
-    )
+    pushed = np.concatenate(saddle.solve(force * 0.0, gap, tie)[1:])
+    return bool(abs(moved).max(initial=0.0) < most), bool(abs(pushed).max(initial=0.0) < most)
 
 
 def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:

@@ -94,6 +94,7 @@ class SparseSaddle:
     """
 
     def __init__(self, problem: ContactProblem, closed: Indices, regularisation: float) -> None:
+        self.regularisation = regularisation
         self._K = sp.csr_matrix(problem.stiffness_rows)
         self._rows = sp.csr_matrix(sp.vstack([problem.normal[closed], problem.tie]))
         self._contacts = len(closed)

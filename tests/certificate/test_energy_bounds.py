@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.judging import exact_truth
-from contactqp.certificate.bounds import failed_errors
+from contactqp.certificate.bounds import REDUNDANT, failed_errors
 from contactqp.certificate.energy_bounds import (
     CAUTION,
     NOT_APART,
@@ -437,3 +437,30 @@ def test_a_force_where_there_are_none_is_refused() -> None:
     force = solution.normal_force.copy()
     force[[0, -1]] += 1e-8
     assert not cq.certify(problem, solution.displacement, force, tie_force=solution.tie_force).passed
+
+
+@pytest.mark.slow
+def test_differences_of_thousands_of_unknowns_have_forces_of_their_own() -> None:
+    """Isotonic regression: blocks of equal values by pooling (Barlow and others 1972), forces by sums."""
+    n = 6000
+    data = np.linspace(0.0, 3.0, n) + np.random.default_rng(3).normal(size=n)
+    blocks: list[tuple[float, int]] = []
+    for value in data:
+        blocks.append((value, 1))
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            (last, many), (before, more) = blocks.pop(), blocks.pop()
+            blocks.append(((last * many + before * more) / (many + more), many + more))
+    fit = np.concatenate([np.full(size, value) for value, size in blocks])
+    rows = sp.diags_array([np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1], shape=(n - 1, n)).tocsr()
+    problem = cq.ContactProblem(sp.eye_array(n).tocsr(), data, rows, np.zeros(n - 1))
+    force = np.maximum(np.cumsum(data - fit)[:-1], 0.0)
+    found = energy_bounds(problem, Answer(fit, force, None, np.zeros(0)))
+    assert found.force_bound is not None
+    assert not found.reasons
+    assert np.max(found.force_bound) < 1e-10 * np.max(force)
+    pushing = int(np.argmax(force))
+    twice = problem.replace(normal=sp.vstack([rows, rows[[pushing]]]), gap=np.zeros(n))
+    half = np.append(force, 0.0)
+    half[[pushing, -1]] = force[pushing] / 2
+    shared = Answer(fit, half, None, np.zeros(0))
+    assert energy_bounds(twice, shared).reasons == (f"force_bound: {REDUNDANT}",)
