@@ -50,6 +50,8 @@ MOST_COUNTED = 5
 MOST_LOOSE = 30
 # Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
 DOUBTFUL = 1e-9
+# Answers that are there only by more than this part are not sure to be others: friction is near its limit.
+SURE = 1e-13
 # Of the largest force, what rounding may leave of another.
 ROUNDING = 1e-13
 # Of the largest displacement that the loads make without contacts, what rounding may leave of another.
@@ -66,18 +68,22 @@ def proves_friction(problem: ContactProblem) -> bool:
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
     """Return whether more than one answer exists, or a family of them; it is computed once for a problem.
 
-    None where too many systems leave something free, or where their signs are beyond the range of doubles.
+    None where too many systems leave something free, where their signs are beyond the range of doubles, or where the
+    others are there by an allowance for rounding alone.
     """
     of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
     cached = problem._computed.several_answers
     if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
-        cached = problem._computed.several_answers = of, _several_answers(problem, condensation)
+        several = _several_answers(problem, condensation, DOUBTFUL)
+        if several and not _several_answers(problem, condensation, SURE):
+            several = None
+        cached = problem._computed.several_answers = of, several
     found: bool | None = cached[1]
     return found
 
 
-def _several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
-    system = _Systems(problem, condensation)
+def _several_answers(problem: ContactProblem, condensation: Condensation, doubtful: float) -> bool | None:
+    system = _Systems(problem, condensation, doubtful)
     status = combinations(system.mu)
     matrices, right = system.assembled(status)
     singular = ~regular(matrices)
@@ -89,7 +95,7 @@ def _several_answers(problem: ContactProblem, condensation: Condensation) -> boo
         y[b], free = _least(matrices[b], right[b])
         sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
         rounding = system.nothing + ROUNDING * abs(y[b]).max(initial=0.0)
-        if np.any(abs(matrices[b] @ y[b] - right[b]) > DOUBTFUL * sizes + rounding):
+        if np.any(abs(matrices[b] @ y[b] - right[b]) > doubtful * sizes + rounding):
             continue
         if len(free):
             signs = _Signs(system, status[b], y[b], free)
@@ -114,9 +120,10 @@ def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
 
 
 class _Systems:
-    """The linear systems of all combinations in y = (l, j)."""
+    """The linear systems of all combinations in y = (l, j); signs may fail by a doubtful part of what meets."""
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
+    def __init__(self, problem: ContactProblem, condensation: Condensation, doubtful: float) -> None:
+        self.doubtful = doubtful
         compliance = contact_compliance(problem, condensation)
         if problem.friction is None or problem.slip_origin is None:
             raise ValueError("answers are counted with friction only")
@@ -162,12 +169,12 @@ class _Systems:
 
     def _allowed(self, y: Array) -> tuple[Array, Array]:
         """Return how far lengths and forces of solutions (c, q) may miss their signs by rounding, (c, m, 2) each."""
-        meeting = self._given + self.nothing / DOUBTFUL + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
+        meeting = self._given + self.nothing / self.doubtful + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
         largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
         compliance = np.broadcast_to(self._compliance, meeting.shape)
         felt = compliance > SINGULAR_SYSTEM * compliance.max(initial=0.0)
         asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
-        return DOUBTFUL * meeting, DOUBTFUL * asked + ROUNDING * largest
+        return self.doubtful * meeting, self.doubtful * asked + ROUNDING * largest
 
     def _by_state(self, status: NDArray[np.int8]) -> Iterator[Indices]:
         """Yield the open, the closed and the sticking contacts, and those that slide against friction."""
@@ -195,7 +202,7 @@ class _Systems:
     def differ(self, one: Vector, other: Vector) -> bool:
         """Return whether forces and joints of two answers move any contact differently."""
         sizes = abs(self._felt) @ np.maximum(abs(one), abs(other))
-        doubtful = 10 * (DOUBTFUL * self._given.ravel()[self._acting_rows] + self.nothing)
+        doubtful = 10 * (self.doubtful * self._given.ravel()[self._acting_rows] + self.nothing)
         return bool(np.any(abs(self._felt @ (one - other)) > SAME * sizes + doubtful))
 
     def moving(self, free: Array) -> Array:
@@ -208,7 +215,7 @@ class _Signs:
     """The signs of one combination along the solutions start + free'c of a system that leaves something free."""
 
     def __init__(self, system: _Systems, status: NDArray[np.int8], start: Vector, free: Array) -> None:
-        self._start, self._free, self._moving = start, free, system.moving(free)
+        self._start, self._free, self._moving, self._doubtful = start, free, system.moving(free), system.doubtful
         room, change = system.signs(status)
         self._left, self._slope, self._allowed = room + change @ start, change @ free.T, system.sizes(status, start)
         self._idle = np.all(abs(self._slope) <= np.sqrt(SINGULAR_SYSTEM), axis=1)
@@ -225,13 +232,13 @@ class _Signs:
         """
         from scipy.optimize import linprog
 
-        size = self._allowed / DOUBTFUL
+        size = self._allowed / self._doubtful
         nonzero = size[~self._idle & (size > 0)]
         step = float(np.median(nonzero)) if len(nonzero) else 1.0
         size = np.where(size > 0, size, step)
         moving = self._moving
         wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(self._free)))
-        slope, room = -self._slope * (step / size)[:, None], self._left / size + DOUBTFUL
+        slope, room = -self._slope * (step / size)[:, None], self._left / size + self._doubtful
         if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(room)) and np.all(np.isfinite(moving))):
             return None
         found = []

@@ -361,9 +361,10 @@ def test_other_answers_are_looked_for_once_a_problem_and_anew_for_another_load(m
     """Klarbring's contact has three answers at one load and one at another; all share their stiffness and rows."""
     looked, look = [], uniqueness._several_answers
 
-    def counted(problem: cq.ContactProblem, condensation: Any) -> bool | None:
-        looked.append(problem)
-        return look(problem, condensation)
+    def counted(problem: cq.ContactProblem, condensation: Any, doubtful: float) -> bool | None:
+        if doubtful == uniqueness.DOUBTFUL:
+            looked.append(problem)
+        return look(problem, condensation, doubtful)
 
     monkeypatch.setattr(uniqueness, "_several_answers", counted)
     data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
@@ -408,3 +409,14 @@ def test_where_several_answers_may_exist_the_iteration_chooses(monkeypatch: pyte
     found = cq.solve(steep)
     assert len(solved) > 1
     assert np.array_equal(found.normal_force, chosen.normal_force)
+
+
+@pytest.mark.parametrize(("short", "claimed"), [(0.0, "several answers"), (1e-10, "several answers possible")])
+def test_a_block_near_its_limit_has_several_answers_only_at_the_limit(short: float, claimed: str) -> None:
+    """At mu W it may rest or have slid any way; below by the smallest part it rests, and that alone."""
+    weight, mu = 128.0, 0.5
+    load = [mu * weight * (1 - short), -weight]
+    block = cq.ContactProblem(np.zeros((2, 2)), load, [[0.0, -1.0]], [0.0], tangent=[[1.0, 0.0]], friction=mu)
+    assert claimed in cq.solve(block).certificate.uniqueness
+    (exact,) = cq.exact_equilibria(block)
+    assert ("one of a continuum" in repr(exact)) == (short == 0)
