@@ -122,15 +122,27 @@ class _Reader:
 
     def bracket(self) -> Fraction:
         if not self.take("("):
-            raise NotANumber(f"{self.text!r}")
+            raise NotANumber(self.not_understood())
         self.depth += 1
         if self.depth > DEEPEST_BRACKET:
             raise NotANumber(f"more than {DEEPEST_BRACKET} brackets inside each other")
         value = self.sum()
         self.depth -= 1
         if not self.take(")"):
-            raise NotANumber(f"{self.text!r}, whose bracket is not closed")
+            rest = self.text[self.place :].strip()
+            ends = not rest or rest[0].isalpha()
+            raise NotANumber(f"{self.text!r}, whose bracket is not closed" if ends else self.not_understood())
         return value
+
+    def not_understood(self) -> str:
+        """Return the text, and from where on it is no number and what is one."""
+        rest = self.text[self.place :].strip()
+        if rest.startswith("sqrt") and not self.roots:
+            return f"{self.text!r}: no root here, where numbers are exact; write a decimal or a fraction"
+        if not rest or not self.place:
+            return f"{self.text!r}"
+        allowed = "decimals, + - * /, brackets and sqrt(...)" if self.roots else "decimals, + - * / and brackets"
+        return f"{self.text!r}, which is no number from {rest!r} on: numbers are {allowed}"
 
     def take(self, signs: str) -> str:
         """Read the next sign if it is one of these; otherwise nothing."""

@@ -102,3 +102,18 @@ def test_units_of_a_scene_convert_and_name():
     assert system.label(KINDS["energy"].dimension) == "kN*mm"
     assert UnitSystem("m", "N").label(KINDS["mass"].dimension) == "N*s^2/m"
     assert system.label(KINDS["number"].dimension) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "roots", "said"),
+    [
+        ("2*sqrt(3) kN", False, "no root here, where numbers are exact"),
+        ("sqrt(3*pi) kN", True, "no number from 'pi) kN' on: numbers are decimals, + - * /, brackets and sqrt(...)"),
+        ("(3^2) kN", False, "no number from '^2) kN' on: numbers are decimals, + - * / and brackets"),
+        ("(3 kN", False, "whose bracket is not closed"),
+    ],
+)
+def test_what_is_no_number_is_told_from_where_on_it_is_none(text: str, roots: bool, said: str) -> None:
+    with pytest.raises(NotANumber) as refused:
+        split_number(text, roots=roots)
+    assert said in str(refused.value)
