@@ -445,6 +445,10 @@ class OGrid:
         return np.asarray(spacing(cells, self.grading, "low")[keys + 2 * n] * (cells // n) - 1)
 
 
+# Elements that are so much smaller than others leave no digits of the stiffness.
+STEEPEST = 1e10
+
+
 def spacing(cells: int, grading: float, towards: Towards) -> Array:
     """Return ends and middles of cells from 0 to 1, (2 cells + 1,), whose sizes shrink geometrically towards one
     place.
@@ -463,8 +467,8 @@ def spacing(cells: int, grading: float, towards: Towards) -> Array:
     """
     if not is_whole(cells) or cells < 1:
         raise InvalidProblem(f"shape: expected whole numbers of divisions >= 1, got {shown(cells)}")
-    if not (math.isfinite(grading) and grading >= 1):
-        raise InvalidProblem(f"shape: expected a grading >= 1, got {grading}")
+    if not 1 <= grading <= STEEPEST:
+        raise InvalidProblem(f"shape: expected a grading from 1 to {STEEPEST:g}, got {grading:g}")
     i = np.arange(cells)
     distance = {
         "low": i,

@@ -5,6 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.analysis.large import active_kkt
 from contactqp.analysis.large.active_kkt import (
     by_signs,
     coulomb_by_signs,
@@ -81,6 +82,21 @@ def test_signs_with_friction_find_what_solve_finds(seed):
     np.testing.assert_allclose(forces.normal, solution.normal_force, atol=1e-9)
     np.testing.assert_allclose(forces.friction, solution.friction_force, atol=1e-9)
     assert cq.certify(p, u, forces.normal, forces.friction, forces.tie).passed
+
+
+def test_a_search_ends_where_sets_come_back_one_by_one(monkeypatch):
+    """A set decides which one follows: what has come back so does for ever, and four solves a contact told no more."""
+    solved = []
+    original = active_kkt.solve_system
+    monkeypatch.setattr(active_kkt, "solve_system", lambda *given: (solved.append(1), original(*given))[1])
+    random = np.random.default_rng(19)
+    half = random.integers(-3, 4, (4, 4)).astype(float)
+    normal = sp.csr_array(random.integers(-2, 3, (6, 4)).astype(float))
+    gap = random.integers(-2, 4, 6).astype(float)
+    data = (sp.csc_array(half + half.T), random.integers(-3, 4, 4).astype(float), normal, gap)
+    with pytest.raises(NotConverged, match="comes back"):
+        by_signs(*data, sp.csr_array((0, 4)), np.zeros(0), np.zeros(6) > 0)
+    assert 2 <= len(solved) <= 6
 
 
 def test_redundant_contacts_are_singular():

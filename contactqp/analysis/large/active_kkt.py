@@ -142,9 +142,10 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
         if not np.any(wrong[0] > 0) and not np.any(wrong[1] > 0):
             return u, force, found[n + len(B) :], closed
         closed = _changed(closed, *wrong, one_by_one)
-        one_by_one |= closed.tobytes() in seen
-        if one_by_one and len(seen) > 3 * m + 3:
-            break
+        if closed.tobytes() in seen:
+            if one_by_one:
+                break  # a set decides which one follows: they would come back for ever
+            one_by_one, seen = True, set()
         seen.add(closed.tobytes())
     raise NotConverged("the set of closed contacts comes back: the tangent is indefinite there")
 
@@ -239,16 +240,19 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         raise ValueError("friction of a problem without tangential rows")
     status = _states(problem.friction, forces)
-    seen: set[bytes] = set()
-    one_by_one = False
+    seen, one_by_one = set[bytes](), False
     for _ in range(CHANGES * (problem.contacts + 1)):
         answer = _on(K, problem, load, status)
         changed = _lawful(problem, answer, status, one_by_one)
         differ = np.flatnonzero(changed != status)
         if not differ.size:
             return answer.increment, Forces(answer.normal, answer.tie, answer.friction[:, None])
-        one_by_one |= status.tobytes() in seen
-        seen.add(status.tobytes())
+        if status.tobytes() in seen:
+            if one_by_one:
+                break
+            one_by_one, seen = True, set()
+        else:
+            seen.add(status.tobytes())
         status = status.copy()
         if one_by_one:  # the last contact that breaks the law: Murty's rule, which ends where the law has one answer
             differ = differ[-1:]
