@@ -269,6 +269,7 @@ def _measured(
         law=law,
         bounds=bounds,
         errors=(
+            *messages.of_hidden_strain(problem, answer, rigid, max(found.intrinsic_size, state.energy), bounds),
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
             *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),

@@ -367,3 +367,17 @@ def test_a_candidate_far_away_does_not_make_the_truth_small() -> None:
     assert size > 0
     assert found.energy_error >= 0.5 * strain / size > 1e3
     assert not found.passed
+
+
+@pytest.mark.parametrize("far", [1e16, 1e22, 1e24, 1e34, 1e60])
+@pytest.mark.parametrize("frictional", [False, True])
+def test_no_motion_is_so_large_that_it_hides_what_is_wrong(far: float, frictional: bool) -> None:
+    """Two masses on a spring are wedged apart by two: moved as far as that, both alike, they are penetrated by two."""
+    K = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    law = dict(tangent=[[0.0, 0.0, 1.0]], friction=0.25) if frictional else {}
+    wedge = cq.ContactProblem(K, [0.0, 0.0, 1.0], [[1.0, -1.0, 0.0]], [-2.0], **law)
+    friction = [[0.5]] if frictional else None
+    beside = 0.5 if frictional else 1.0
+    for force in (2.0, 2.02, 0.0):
+        assert not cq.certify(wedge, [far, far, beside], [force], friction).passed
+    assert cq.certify(wedge, [2.0**40, 2.0**40 + 2.0, beside], [2.0], friction).passed
