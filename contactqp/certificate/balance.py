@@ -13,10 +13,12 @@ import scipy.sparse as sp
 
 from contactqp.certificate.figures import (
     FEW_DIGITS,
+    RIGID_ROUNDING,
     energy_norm,
     energy_norms,
     force_norm,
     response,
+    rigid_rounding,
     without_part_along,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
@@ -28,7 +30,7 @@ from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -54,6 +56,8 @@ LP_TOLERANCES = (1e-10, 1e-7)
 MOST_SHARING = 1000
 # Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.
 SHARED_ALIKE = 1e-9
+# The part of what loads and gaps strain that rounding in extended precision may hide.
+HIDDEN = 1e-6
 # A force that is this part of others in its part of the problem is zero in extended precision too.
 NO_FORCE = 2.0**-90
 
@@ -134,6 +138,22 @@ def free_distance(
     # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
     most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
     return min(max(distance - resisted, 0.0), most)
+
+
+def hides_strain(problem: ContactProblem, displacement: Vector, rigid: RigidMotions, size: float, left: float) -> bool:
+    """Return whether the rounding of a displacement along rigid motions hides all that loads and gaps strain.
+
+    Without friction it is what residuals hide in extended precision, of which a part of 1e-6 is too much. With
+    friction, where an answer is compared with that of its own combination, it is what a displacement in doubles hides.
+
+    Parameters
+    ----------
+    problem, displacement : ContactProblem, (n,) array [length]
+    rigid : the rigid motions of the bodies
+    size, left : what loads and gaps strain, and what residuals hide without friction [square root of energy]
+    """
+    doubles = rigid_rounding(problem, rigid, displacement) * (EPS / RIGID_ROUNDING)
+    return 0 < size < (doubles if problem.frictional else left / HIDDEN)
 
 
 def shared_by_rounding(

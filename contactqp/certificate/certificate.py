@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import messages
-from contactqp.certificate.balance import balance
+from contactqp.certificate.balance import balance, hides_strain
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
@@ -261,6 +261,8 @@ def _measured(
         pushed = float(np.max(problem.own_scale * problem.load_size, initial=0.0))  # S may be a gap crossed rigidly
         smooth = pushed > 0 and not problem.frictional
         off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
+    strained = max(found.intrinsic_size, state.energy)
+    moved_too_far = rigid.count and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
     if problem.frictional and (any(failed_errors(bounds, error_tolerance, nothing)) or off):
         bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     return _Measured(
@@ -269,7 +271,7 @@ def _measured(
         law=law,
         bounds=bounds,
         errors=(
-            *messages.of_hidden_strain(problem, answer, rigid, max(found.intrinsic_size, state.energy), bounds),
+            *((messages.of_hidden_strain(problem, answer.displacement),) if moved_too_far else ()),
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
             *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),

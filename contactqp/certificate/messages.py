@@ -8,9 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.certificate.bounds import Bounds
-from contactqp.certificate.figures import RIGID_ROUNDING, rigid_rounding
 from contactqp.certificate.uniqueness import UNKNOWN
-from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
@@ -18,8 +16,6 @@ from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answe
 
 # Grazing contacts, and dependent ties, that a note names.
 MOST_NAMED = 8
-# The part of what loads and gaps strain that rounding in extended precision may hide.
-HIDDEN = 1e-6
 # Why answers have no bounds whose numbers cannot be computed with.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
@@ -80,30 +76,13 @@ def of_absurd_part(problem: Named, name: str, values: Array, i: int) -> str:
     )
 
 
-def of_hidden_strain(
-    problem: ContactProblem, answer: Answer, rigid: RigidMotions, size: float, bounds: Bounds
-) -> Iterator[str]:
-    """Yield a message if the rounding of a displacement along rigid motions hides all that loads and gaps strain.
-
-    Without friction it is what residuals hide in extended precision, of which a part of 1e-6 is too much. With
-    friction, where an answer is compared with that of its own combination, it is what a displacement in doubles hides.
-
-    Parameters
-    ----------
-    problem, answer : ContactProblem, Answer
-    rigid : the rigid motions of the bodies
-    size : float, what loads and gaps strain [square root of energy]
-    bounds : those of the answer
-    """
-    rounding = bounds.rounding / HIDDEN
-    if problem.frictional:
-        rounding = rigid_rounding(problem, rigid, answer.displacement) * (EPS / RIGID_ROUNDING)
-    if rigid.count and 0 < size < rounding:
-        i = int(np.argmax(abs(answer.displacement)))
-        yield (
-            f"unproven: {answer.displacement[i]:.3g}{_with_unit(problem.units.length)} at {problem.dof_name(i)} is so "
-            "large a motion that its rounding hides what loads and gaps strain"
-        )
+def of_hidden_strain(problem: Named, displacement: Vector) -> str:
+    """Return the message that a displacement moves so far that its rounding hides what is strained."""
+    i = int(np.argmax(abs(displacement)))
+    return (
+        f"unproven: {displacement[i]:.3g}{_with_unit(problem.units.length)} at {problem.dof_name(i)} is so large a "
+        "motion that its rounding hides what loads and gaps strain"
+    )
 
 
 def failed_figures(
