@@ -13,9 +13,21 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import SAME, Direction, NoRates, Parts, Rates, Scales, errors_of, shape_of_tangents
+from contactqp.analysis.rate_data import (
+    SAME,
+    Direction,
+    NoRates,
+    Parts,
+    Rates,
+    Scales,
+    Solved,
+    errors_of,
+    named,
+    shape_of_tangents,
+    turned_by_rounding,
+)
 from contactqp.analysis.rate_systems import RateSystem
-from contactqp.analysis.slip_law import slips_that_begin
+from contactqp.analysis.slip_law import SlipLaw, is_at_bound, slips_that_begin
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale
@@ -50,11 +62,11 @@ ALIGNED = 1e-3
 TURNED = 1e-3
 # A slip that begins has a direction and no length yet: this one turns nothing.
 FAR = 1e100
+# What slips that begin are taken to be off by before they have settled.
+COARSE = 1e-6
 # Turns of the directions in which contacts begin to slip, at most, and where these have settled.
 MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
-# Contacts that are named in a reason.
-SHOWN = 5
 # The rates whose signs tell states.
 BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 
@@ -243,8 +255,8 @@ def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, dra
 
 def decided_in_space(
     problem: ContactProblem, status: Status, grazing: Indices, answer: Answer, gap: Vector, slip: Array
-) -> tuple[Status, Indices, Indices]:
-    """Return the states (m,) of an answer in space, the contacts that graze, and those that stick at their bounds.
+) -> tuple[Status, Indices, Indices, bool]:
+    """Return the states (m,) in space, which contacts graze and which stick at their bounds, and if that is sure.
 
     The answer is that of its states, to the rounding of doubles: a force or a gap that is more is there, and a slip
     that is more and goes along its friction. A gap must be there in twice double precision, too, or, where the answer
@@ -283,22 +295,14 @@ def decided_in_space(
     near = (status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push)
     turned = lengths(slip * lengths(drag)[:, None] - drag * slid[:, None])
     status[near & ~still & (turned <= ALIGNED * lengths(drag) * slid)] = SLIP_ON
-    at_bound = (status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push)
-    return status, grazing, np.flatnonzero(at_bound)
-
-
-def named(problem: ContactProblem, contacts: Indices) -> str:
-    """Return the names of some contacts."""
-    names = [problem.contact_name(int(i)) for i in contacts[:SHOWN]]
-    return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
-
-
-def at_border(problem: ContactProblem, grazing: Indices, at_bound: Indices) -> str:
-    """Return which contacts graze and which stick at their bounds, in words."""
-    kinds = ((grazing, "grazes", "graze"), (at_bound, "sticks at its bound", "stick at their bounds"))
-    return "; ".join(
-        f"{named(problem, which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
-    )
+    at_bound = np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push))
+    system = RateSystem(problem, condense(problem), status, Parts(answer.displacement, push, slip, answer.tie_force))
+    known = system.answer() if system.regular else None
+    sure = known is not None and known.bound is not None and system.touch(known, grazing)
+    if known is not None and sure:
+        _, forces, drags, _ = known.extended
+        sure = is_at_bound(problem.friction[at_bound], forces[at_bound], [drags[2 * at_bound + k] for k in (0, 1)])
+    return status, grazing, at_bound, sure
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,15 +402,46 @@ class Borders:
         system = system_of(held)
         moved = [rates_of(system, unit) for unit in self.unit_slips(begins)]
         for rates in self.starts(rates_of(system, direction), moved, begins):
+            settled = False
             for _ in range(MOST_TURNS):
-                system, before = system_of(status, rates), rates.slip[begins]
+                system, before, pushed = system_of(status, rates), rates.slip[begins], rates.normal_force[begins]
                 rates = rates_of(system, direction)
                 changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
                 if not (system.regular and np.all(size > 0)):
                     break
-                if np.all(changed <= TURNS_NO_MORE * size):
-                    yield system
+                if settled:  # Newton's steps are squared: what is left is far less than the last change
+                    pushes = rates.normal_force[begins]
+                    off = changed / size + abs(pushes - pushed) / np.maximum(abs(pushes), TINY)
+                    yield system_of(status, rates, off + 8 * EPS)
                     break
+                settled = bool(np.all(changed <= TURNS_NO_MORE * size))
+
+    def tell_law(
+        self, law: SlipLaw, system: RateSystem, known: Solved, begins: Indices,
+        rates: tuple[Rates | None, Vector | None],
+    ) -> None:  # fmt: skip
+        """Take the law of a system in space from the answer beyond doubles, and that of contacts which begin to slip.
+
+        Parameters
+        ----------
+        law, known : of the answer
+        system, begins : the system, and contacts that begin to slip along their friction in it
+        rates : those that tell slips in any direction, and what these are off by as a part
+        """
+        assert known.bound is not None
+        off = lengths(known.bound.tangent[begins]) + lengths(known.found.tangent[begins] - self.drag[begins])
+        off = 8 * EPS + 2 * off / lengths(self.drag[begins])
+        law = law.with_slips(begins, system.directions[begins], np.zeros(len(begins)), off)
+        if system.across is not None:
+            system.across = *system.across[:2], off
+        slips, free = abs(system.status) == 1, self.free[abs(system.status[self.free]) == 1]
+        at = self.undecided[(self.status == OPEN)[self.undecided] & (slips & self.slid)[self.undecided]]
+        off = turned_by_rounding(self.problem, self.slip, known)[at]
+        law = law.with_slips(at, system.directions[at], np.zeros(len(at)), off)
+        if rates[0] is not None and len(free):
+            off = np.full(len(free), COARSE) if rates[1] is None else rates[1]
+            law = law.with_slips(free, system.directions[free], system.law.turns.hi[free], off)
+        system.law = law
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
         """Return what is not negative where rates lead undecided contacts to the states of a system, or its error.
@@ -432,6 +467,9 @@ class Borders:
         ways = np.divide(self.drag, size, out=np.zeros_like(self.drag), where=size > 0), system.directions
         along, onward = (abs(one) if errors else one for one in ways)
         drag, slips = np.sum(along * drags, axis=1), np.sum(onward * of["slip"], axis=1)
+        if errors and drags.shape[1] > 1:  # directions in space are rounded
+            drag = drag + 8 * EPS * lengths(found.friction_force) * of_normal
+            slips = slips + 8 * EPS * lengths(found.slip)
         slips = np.divide(slips, of_slip, out=np.zeros_like(push), where=of_slip > 0)
         gaps = np.divide(of["gap"], of_normal, out=np.zeros_like(push), where=of_normal > 0)
         signs: list[float] = []
@@ -460,24 +498,3 @@ class Borders:
             rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
             nothing = self.signs(found, direction, system, errors=True) + (RATE_EPS * whole if rounded else 0.0)
         return bool(np.all(self.signs(found, direction, system) >= -nothing))
-
-
-def missed(problem: ContactProblem, scales: Scales, found: Rates, direction: Direction, system: RateSystem) -> float:
-    """Return what rates leave of equilibrium and of what is to be held, as a part of all.
-
-    Parameters
-    ----------
-    problem, scales : of the answer, with friction in the plane
-    found, direction, system : rates, what they are along, and the system that they were found with
-    """
-    tie_length = scales.units[3]
-    assert problem.tangent is not None
-    outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
-    outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
-    closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in (system.closed, system.stuck))
-    held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
-    missed = [scales.of("reaction", outer), held, scales.of("gap", np.where(closed, found.gap, 0.0))]
-    missed.append(scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
-    rates = [scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")]
-    left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
-    return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), TINY])

@@ -350,7 +350,7 @@ def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> 
         return "the answer is not proven" + (f": {reasons[0]}" if reasons else "")
     if linearised.is_sparse:
         return "bounds follow from condensed contacts, and these are too many"
-    if linearised.turns:
+    if linearised.turns and linearised.sure:
         return IN_SPACE if linearised.system is None else UNTOLD
     if linearised.redundant or linearised.shares or shared:
         return SHARED

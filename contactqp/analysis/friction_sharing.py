@@ -18,8 +18,19 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from contactqp.analysis.border_states import MOST_COMBINATIONS, Borders, missed, named
-from contactqp.analysis.rate_data import REDUNDANT, SAME, SINGULAR, Direction, NoRates, Parts, Rates, Scales
+from contactqp.analysis.border_states import MOST_COMBINATIONS, Borders
+from contactqp.analysis.rate_data import (
+    REDUNDANT,
+    SAME,
+    SINGULAR,
+    Direction,
+    NoRates,
+    Parts,
+    Rates,
+    Scales,
+    missed,
+    named,
+)
 from contactqp.analysis.rate_systems import RateSystem
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, width_within
 from contactqp.model.arrays import TINY, Array, Indices, Mask, Vector
@@ -195,6 +206,31 @@ class FrictionSharing:
                 return False
         return True
 
+    def sides(
+        self, direction: Direction, system: RateSystem | None, borders: Borders,
+        system_of: Callable[[Status], RateSystem], rates_of: Callable[[RateSystem, Direction], Rates],
+    ) -> tuple[Rates, Rates]:  # fmt: skip
+        """Return the rates towards minus and plus a direction; those of forces are of one way to share them.
+
+        Raises NoRates: there are none, or several.
+
+        Parameters
+        ----------
+        direction, system : along which they are, and the system of steady states
+        borders : contacts at a border of two states
+        system_of, rates_of : return the system of some states, and its rates along a direction
+        """
+        if not self.turns_alike(direction):
+            raise NoRates(REDUNDANT)
+        if system is not None and not (direction.moves or direction.slip_origin.any()):
+            ahead = replace(rates_of(system, direction), shared=True)
+            return ahead, ahead
+        others = replace(borders, undecided=np.setdiff1d(borders.undecided, self.members))
+        back, ahead = (
+            self.continued(along, others, system_of, rates_of) for along in (direction.reversed(), direction)
+        )
+        return back.reversed(), ahead
+
     def continued(
         self, along: Direction, borders: Borders, system_of: Callable[[Status], RateSystem],
         rates_of: Callable[[RateSystem, Direction], Rates],
@@ -216,7 +252,8 @@ class FrictionSharing:
                 rates = rates_of(system, along)
             except NoRates:
                 continue
-            fits = system.regular or missed(self._problem, self.scales, rates, along, system) <= SEEN
+            places = system.closed, system.stuck
+            fits = system.regular or missed(self._problem, self.scales, rates, along, places) <= SEEN
             if fits and borders.hold(rates, along, system) and self._hold(status, rates):
                 if self.moves(system):
                     raise NoRates(SINGULAR)
@@ -438,7 +475,8 @@ def refuse_many(
         found = rates_of(system, direction)
     except NoRates:
         return
-    if missed(problem, borders.scales, found, direction, system) > SEEN:  # those that fit best are no rates
+    places = system.closed, system.stuck  # those that fit best may be no rates
+    if missed(problem, borders.scales, found, direction, places) > SEEN:
         return
     signs = borders.signs(found, direction, system)
     size = max(float(np.max(abs(signs), initial=0.0)), TINY)

@@ -15,7 +15,7 @@ from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, two_product
 from contactqp.linalg.friction_states import StateSystem, slip_directions
-from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
@@ -26,6 +26,8 @@ VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
+# Contacts that are named in a reason.
+SHOWN = 5
 # Why there are no rates.
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
@@ -110,6 +112,11 @@ class Direction:
     def whole_gap(self) -> Vector:
         """Return the gaps (m,) that the rates see."""
         return self.gap + self.closing
+
+    @property
+    def moves(self) -> bool:
+        """Return whether gaps or ties change, so that what is closed or tied moves."""
+        return bool(self.whole_gap.any() or self.tie_value.any())
 
     @property
     def by_answer(self) -> bool:
@@ -376,3 +383,70 @@ def repeated(problem: ContactProblem, turn: Any, contacts: Indices, others: Indi
                 found.append(i)
                 break
     return np.array(found, dtype=np.intp)
+
+
+def named(problem: ContactProblem, contacts: Indices) -> str:
+    """Return the names of some contacts."""
+    names = [problem.contact_name(int(i)) for i in contacts[:SHOWN]]
+    return f"{', '.join(names)}{f' and {len(contacts) - SHOWN} more' if len(contacts) > SHOWN else ''}"
+
+
+def at_border(problem: ContactProblem, grazing: Indices, at_bound: Indices) -> str:
+    """Return which contacts graze and which stick at their bounds, in words."""
+    kinds = ((grazing, "grazes", "graze"), (at_bound, "sticks at its bound", "stick at their bounds"))
+    return "; ".join(
+        f"{named(problem, which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
+    )
+
+
+def missed(
+    problem: ContactProblem, scales: Scales, found: Rates, direction: Direction, places: tuple[Indices, Indices]
+) -> float:
+    """Return what rates leave of equilibrium and of what is to be held, as a part of all.
+
+    Parameters
+    ----------
+    problem, scales : of the answer, with friction in the plane
+    found, direction : rates, and what they are along
+    places : the contacts that are closed, and that stick, in their system
+    """
+    tie_length = scales.units[3]
+    assert problem.tangent is not None
+    outer = found.reaction + direction.turned - problem.normal.T @ found.normal_force
+    outer = outer - problem.tangent.T @ found.friction_force.ravel() - problem.tie.T @ found.tie_force
+    closed, stuck = (np.isin(np.arange(problem.contacts), where) for where in places)
+    held = (problem.tie @ found.displacement - direction.tie_value) / np.where(tie_length > 0, tie_length, 1.0)
+    missed = [scales.of("reaction", outer), held, scales.of("gap", np.where(closed, found.gap, 0.0))]
+    missed.append(scales.of("slip", np.where(stuck[:, None], found.slip, 0.0)))
+    rates = [scales.of(name, getattr(found, name)) for name in ("displacement", "normal_force", "friction_force")]
+    left = max(float(np.max(abs(one), initial=0.0)) for one in missed)
+    return left / max([left, *(float(np.max(abs(one), initial=0.0)) for one in rates), TINY])
+
+
+def turned_by_rounding(problem: ContactProblem, slip: Array, known: Solved) -> Vector:
+    """Return what directions of slips (m, 2) of an answer in doubles may be off by, infinite where nothing slips."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    assert known.bound is not None
+    off = abs(problem.tangent) @ (known.bound.displacement + 4 * EPS * abs(known.found.displacement))
+    off = np.linalg.norm(off.reshape(slip.shape) + 4 * EPS * abs(problem.slip_origin), axis=1)
+    size = np.linalg.norm(slip, axis=1)
+    return np.asarray(8 * EPS + np.divide(2 * off, size, out=np.full(len(size), np.inf), where=size > 0))
+
+
+def signs_hold(
+    problem: ContactProblem, found: Rates, direction: Direction, sides: tuple[Indices, Indices], margin: float
+) -> bool:
+    """Return whether rates push at contacts that are to close, and part those that are to open or to stay.
+
+    Parameters
+    ----------
+    problem, found, direction : of the answer, rates with their bounds, and what they are along
+    sides, margin : as in `contactqp.analysis.rate_systems.RateSystem.where_signs_hold`
+    """
+    closing, opening = sides
+    assert found.bound is not None
+    off = errors_of(problem, "gap", found, direction)
+    signs = np.concatenate([found.normal_force[closing], found.gap[opening]])
+    signs += margin * np.concatenate([found.bound.normal[closing], off[opening]])
+    return bool(np.all(signs > 0 if margin < 0 else signs >= 0))

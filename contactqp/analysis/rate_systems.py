@@ -30,8 +30,8 @@ from contactqp.analysis.rate_data import (
     Parts,
     Rates,
     Solved,
-    errors_of,
     shape_of_tangents,
+    signs_hold,
     with_reaction,
 )
 from contactqp.analysis.slip_law import ROUNDED, SlipLaw, times
@@ -74,11 +74,12 @@ class RateSystem:
     regular : bool, whether the system has one solution for all data
     redundant : bool, whether rows depend on others, so that forces are not unique
     turns : bool, whether slips in space turn their friction
-    across : contacts in space that begin to slip (q,), and what is across their friction (q, 2), held by the last ties
+    across : contacts in space that begin to slip (q,), what is across their friction (q, 2), held by the last ties, and
+        what that may be off by (q,)
     law : SlipLaw, of the contacts that slip; that of doubles until `answer` has told what these lack
     """
 
-    across: tuple[NDArray[np.intp], Array] | None = None
+    across: tuple[NDArray[np.intp], Array, Vector] | None = None
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
         self._problem, self._exact, self.status = problem, extended_rows(problem), status
@@ -127,12 +128,9 @@ class RateSystem:
         return replace(solved, bound=self._bound(solved.found, remainder), remainder=remainder)
 
     def _refined(
-        self,
-        y: list[Extended],
-        left: Callable[[list[Extended], int], Parts],
-        transposed: bool,
+        self, y: list[Extended], left: Callable[[list[Extended], int], Parts], transposed: bool,
         foreseen: float | None = None,
-    ) -> Solved:
+    ) -> Solved:  # fmt: skip
         """Refine a solution until what is left of it, as a function of it and of the sweep, tells nothing more.
 
         Where slips turn, small ones among large displacements, three sweeps and more are made, and the slowest counts:
@@ -199,19 +197,15 @@ class RateSystem:
         solved, off, friction = self.solve(data), None, None
         if not solved.settled:
             return None
-        if self.across is None and known is not None and (direction.by_answer or self.turns):
+        if known is not None and (direction.by_answer or self.turns):
             solved, off, friction = self.completed(solved, data, own, direction, known)
         rates = self.of_parts(direction, solved.found, solved.bound, own, friction)
         return replace(rates, off=off, gap=self.gap(solved, data.normal) if direction.rows is None else rates.gap)
 
     def where_signs_hold(
-        self,
-        direction: Direction,
-        push: Vector,
-        known: Solved | None,
-        sides: tuple[NDArray[np.intp], NDArray[np.intp]],
-        margin: float,
-    ) -> Rates | None:
+        self, direction: Direction, push: Vector, known: Solved | None,
+        sides: tuple[NDArray[np.intp], NDArray[np.intp]], margin: float,
+    ) -> Rates | None:  # fmt: skip
         """Return rates without friction and their bounds, None where these are not known or their signs do not hold.
 
         Parameters
@@ -221,13 +215,7 @@ class RateSystem:
         margin : so many bounds signs may be off; of less than none they must be told from zero
         """
         found = self.rates(direction, push, known) if self.regular else None
-        if found is None or found.bound is None:
-            return None
-        closing, opening = sides
-        off = errors_of(self._problem, "gap", found, direction)
-        signs = np.concatenate([found.normal_force[closing], found.gap[opening]])
-        signs += margin * np.concatenate([found.bound.normal[closing], off[opening]])
-        return found if np.all(signs > 0 if margin < 0 else signs >= 0) else None
+        return found if found and found.bound and signs_hold(self._problem, found, direction, sides, margin) else None
 
     def of_parts(
         self, direction: Direction, found: Parts, bound: Parts | None, own: Array, drag: Array | None = None
@@ -249,10 +237,10 @@ class RateSystem:
             moved = (problem.tangent @ found.displacement).reshape(friction.shape)
             friction = friction + dragged + own + np.einsum("mij,mj->mi", self.turning, moved)
         if (begin := self.across) is not None:
-            (contacts, across), ties = begin, problem.ties - len(begin[0])
+            (contacts, across, _), ties = begin, problem.ties - len(begin[0])
             friction = friction.copy()
             friction[contacts] += found.tie[ties:, None] * across
-            found, bound = replace(found, tie=found.tie[:ties]), None
+            found, bound = replace(found, tie=found.tie[:ties]), bound and replace(bound, tie=bound.tie[:ties])
         return with_reaction(problem, direction, found, friction, self.status, bound)
 
     def gap(self, solved: Solved, changes: Vector) -> Vector:
@@ -268,18 +256,24 @@ class RateSystem:
 
         Each of them pushes, the others that touch do so to twice double precision, and all that do not are open.
         """
-        problem, found = self._problem, known.found
+        found, apart = known.found, np.setdiff1d(np.flatnonzero(np.isfinite(self._problem.gap)), touching)
         if known.bound is None or not np.all(found.normal[self.closed] > known.bound.normal[self.closed]):
             return False
-        u, finite = known.extended[0], np.isfinite(problem.gap)
-        given = np.where(finite, problem.gap, 0.0)
+        gaps, nothing = self._gaps_of(known)
+        return self.touch(known, np.setdiff1d(touching, self.closed)) and bool(np.all(gaps[apart] > nothing[apart]))
+
+    def touch(self, known: Solved, contacts: NDArray[np.intp]) -> bool:
+        """Return whether gaps of an answer are none to twice double precision."""
+        gaps, nothing = self._gaps_of(known)
+        return bool(np.all(abs(gaps[contacts]) <= nothing[contacts] * (ROUNDED_AWAY / INVISIBLE)))
+
+    def _gaps_of(self, known: Solved) -> tuple[Vector, Vector]:
+        """Return the gaps (m,) of an answer, 0 for infinite ones, and what refinement leaves of them."""
+        problem, u = self._problem, known.extended[0]
+        given = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
         moved = known.remainder * self._unit + ROUNDED * abs(u.hi)
-        gaps, nothing = (
-            (extend(given) - self._exact.normal @ u).double(), abs(problem.normal) @ moved + ROUNDED * abs(given)
-        )  # fmt: skip
-        others, apart = np.setdiff1d(touching, self.closed), np.setdiff1d(np.flatnonzero(finite), touching)
-        touch = np.all(abs(gaps[others]) <= nothing[others] * (ROUNDED_AWAY / INVISIBLE))
-        return bool(touch and np.all(gaps[apart] > nothing[apart]))
+        nothing = abs(problem.normal) @ moved + ROUNDED * abs(given)
+        return (extend(given) - self._exact.normal @ u).double(), nothing
 
     def answer(self) -> Solved:
         """Return the answer, solution for the problem's own data, with the friction of slips.
@@ -391,6 +385,9 @@ class RateSystem:
         if not self.turns:
             return solved, off, None
         friction, unknown = self._drag_of(solved, lost)
+        if (begin := self.across) is not None and solved.bound is not None:
+            (contacts, _, unsure), last = begin, slice(-len(begin[0]), None)
+            unknown[contacts] += solved.bound.tie[last] + (unsure + 8 * EPS) * abs(solved.found.tie[last])
         return solved, replace(off, tangent=np.repeat((unknown + spread)[:, None], own.shape[1], axis=1)), friction
 
     def _drag_of(self, solved: Solved, own: Extended) -> tuple[Array, Vector]:
@@ -425,19 +422,24 @@ class RateSystem:
             normal = law.error_of_dragged(np.linalg.norm(slip, axis=1))
         else:
             friction = friction + law.error_of_dragged(found.normal)
+        tie = zero.tie
+        if (begin := self.across) is not None:
+            (contacts, _, unsure), last = begin, slice(-len(begin[0]), None)
+            tie[last] = unsure * np.linalg.norm(slip[contacts], axis=1)
+            friction[contacts] += unsure * abs(found.tie[last])
         load = abs(problem.tangent).T @ np.repeat(friction, slip.shape[1])
-        return replace(zero, displacement=load, normal=normal)
+        return replace(zero, displacement=load, normal=normal, tie=tie)
 
     def _spread(self, rest: Parts, transposed: bool) -> float:
         """Return what data up to these sizes may change of a solution, by those of random signs."""
         rng, largest = np.random.default_rng(0), 0.0
-        if not (rest.displacement.any() or rest.normal.any()):
+        if not any(part.any() for part in vars(rest).values()):
             return 0.0
         for _ in range(PROBES):
             signed = Parts(*(part * rng.choice([-1.0, 1.0], part.shape) for part in vars(rest).values()))
             found = self._system.correct(self._on_own_rows(signed), transposed)
             largest = max(largest, self._size((found.displacement, found.normal, found.tangent.ravel(), found.tie)))
-        return ALIKE * float(np.sqrt(rest.displacement.size + rest.normal.size)) * largest
+        return ALIKE * float(np.sqrt(sum(part.size for part in vars(rest).values()))) * largest
 
     def unresolved(self) -> list[Parts]:
         """Return a basis of what may be added to solutions, with friction and where the system has no inverse."""

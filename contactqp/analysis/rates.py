@@ -28,11 +28,9 @@ from contactqp.analysis.border_states import (
     FAR,
     RATE_EPS,
     Borders,
-    at_border,
     decided,
     decided_in_space,
     hardly_apart,
-    named,
     resolved,
     seen_states,
     sticking_at_bound,
@@ -49,7 +47,9 @@ from contactqp.analysis.rate_data import (
     Rates,
     Scales,
     Solved,
+    at_border,
     closed_on,
+    named,
     rates_posed,
     repeated,
     shape_of_tangents,
@@ -155,7 +155,7 @@ class Linearised:
         self.sure = not len(near)
         if len(near) and in_space:
             answer = Answer(solution.displacement, self.push, self._drag, solution.tie_force)
-            self.status, self.grazing, self._at_bound = decided_in_space(
+            self.status, self.grazing, self._at_bound, self.sure = decided_in_space(
                 problem, self.status, self.grazing, answer, self._gap, self._slip
             )
         elif (len(near) or problem.dimension <= LARGE) and not (self.is_sparse or in_space):
@@ -211,8 +211,8 @@ class Linearised:
         self.closed, self.status = closed, closed_on(self.problem, closed)
         self.grazing = self.undecided = np.setdiff1d(self.grazing, closed)
 
-    def _system(self, status: Status, rates: Rates | None = None) -> RateSystem:
-        """Return the system of some states; `rates` has slips that begin in any direction of a plane, and pushes."""
+    def _system(self, status: Status, rates: Rates | None = None, off: Vector | None = None) -> RateSystem:
+        """Return the system of some states; `rates` has slips that begin anywhere, and pushes, `off` by a part."""
         key = status.tobytes()
         if key in self._systems and rates is None:
             return self._systems[key]
@@ -231,7 +231,11 @@ class Linearised:
         if rates is None:
             self._systems[key] = system
         if len(begins):
-            system.across = begins, across
+            system.across = begins, across, np.zeros(len(begins))
+        if self._in_space and len(self.undecided) and key != self.status.tobytes():
+            known = self.extended_answer
+            if known is not None and known.bound is not None:
+                self.borders.tell_law(self._system(self.status).law, system, known, begins, (rates, off))
         return system
 
     @property
@@ -297,7 +301,7 @@ class Linearised:
             There are none towards a side, or several.
         """
         if self.shares is not None:
-            return self._sharing_sides(self.shares, direction)
+            return self.shares.sides(direction, self.system, self.borders, self._system, self._in_states)
         shifted = self._is_shifted(direction)
         if self.system is not None and not shifted:
             ahead = self._in_states(self.system, direction)
@@ -308,26 +312,9 @@ class Linearised:
             return towards(direction.reversed()).reversed(), ahead
         return ahead, ahead
 
-    def _sharing_sides(self, shares: FrictionSharing, direction: Direction) -> tuple[Rates, Rates]:
-        """Return the rates where contacts with friction share forces; those of forces are of one way to share them."""
-        if not shares.turns_alike(direction):
-            raise NoRates(REDUNDANT)
-        still = not (direction.whole_gap.any() or direction.tie_value.any() or direction.slip_origin.any())
-        if self.system is not None and still:
-            ahead = replace(self._in_states(self.system, direction), shared=True)
-            return ahead, ahead
-        others = np.setdiff1d(self.undecided, shares.members)
-        borders = replace(self.borders, undecided=others)
-        back, ahead = (
-            shares.continued(along, borders, self._system, self._in_states)
-            for along in (direction.reversed(), direction)
-        )
-        return back.reversed(), ahead
-
     def _is_shifted(self, direction: Direction) -> bool:
         """Return whether contacts that share their forces come to share them otherwise."""
-        changes = direction.whole_gap.any() or direction.tie_value.any()
-        return self.redundant and bool(changes or direction.rows is not None)
+        return self.redundant and (direction.moves or direction.rows is not None)
 
     def adjoint(self, weights: Parts) -> Parts:
         """Return the solution of the transposed system where nothing is condensed or at a border, without friction."""
@@ -347,8 +334,8 @@ class Linearised:
 
     @cached_property
     def extended_answer(self) -> Solved | None:
-        """The answer in twice double precision, from the system of its states; None at a border in space."""
-        if self.is_sparse or (self._in_space and self.system is None):
+        """The answer in twice double precision, from the system of its states."""
+        if self.is_sparse:
             return None
         if self.redundant:
             carried = self._carrying(np.zeros_like(self.push), np.zeros(self.problem.ties))

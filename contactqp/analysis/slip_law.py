@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from contactqp.linalg.extended import Extended, two_product, two_sum
-from contactqp.model.arrays import TINY, Array, Vector
+from contactqp.linalg.refinement import ROUNDED_AWAY
+from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 
 # What sums of products in twice double precision are off by, as parts of their terms.
@@ -69,10 +70,26 @@ class SlipLaw:
         size = np.where(moves, length.hi / np.where(unit > 0, unit, 1.0), np.inf)
         part = off_slip / size
         weak = off_push > TOLD * abs(push.hi)
-        off_turns = 2 * part + np.divide(2 * off_push, abs(push.hi), out=np.zeros_like(part), where=~weak) + ROUNDED
+        of_push = np.divide(2 * off_push, abs(push.hi), out=np.zeros_like(part), where=~weak & (push.hi != 0))
+        off_turns = 2 * part + of_push + ROUNDED
         unknown = slides & (coefficient > 0) & (~moves | (part > TOLD) | weak)
         off = np.where(unknown, np.inf, np.where(moves, 2 * part + ROUNDED, 0.0))
         return cls(coefficient, directions, turns, off, off_turns)
+
+    def with_slips(self, contacts: Indices, directions: Array, turns: Vector, off: Vector) -> SlipLaw:
+        """Return the law where some contacts begin to slip.
+
+        Parameters
+        ----------
+        contacts, directions : (q,) and (q, d-1) arrays, these contacts and the directions of their slips
+        turns, off : mu dl_N / |ds| (q,), and what directions, and these as parts of themselves, may be off by
+        """
+        at = (contacts[:, None] * self.width + np.arange(self.width)).ravel()
+        along, turned = (Extended(one.hi.copy(), one.lo.copy()) for one in (self.directions, self.turns))
+        along.hi[at], along.lo[at], turned.hi[contacts], turned.lo[contacts] = directions.ravel(), 0.0, turns, 0.0
+        unsure, unsure_turns = self.off.copy(), self.off_turns.copy()
+        unsure[contacts] = unsure_turns[contacts] = off
+        return SlipLaw(self.coefficient, along, turned, unsure, unsure_turns)
 
     @property
     def is_known(self) -> bool:
@@ -128,6 +145,13 @@ def ratio(a: Extended, b: Extended) -> Extended:
     """Return the quotients, entry by entry."""
     first = a.hi / b.hi
     return Extended(*two_sum(first, (a - times(Extended(first), b)).double() / b.hi))
+
+
+def is_at_bound(coefficient: Vector, push: Extended, friction: list[Extended]) -> bool:
+    """Return whether friction along two directions is at its bound to twice double precision, contact by contact."""
+    most = times(Extended(coefficient), push)
+    square = times(friction[0], friction[0]) + times(friction[1], friction[1])
+    return bool(np.all(abs((square - times(most, most)).double()) <= ROUNDED_AWAY * square.hi))
 
 
 def _root(a: Extended) -> Extended:
