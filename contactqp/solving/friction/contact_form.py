@@ -53,7 +53,8 @@ class ContactOperator:
     Attributes
     ----------
     H : (d m, p) array, rows of approach, reversed, and of slip, contact by contact
-    basis, motions : (p, y), (y, z) arrays, B and Z, orthonormal; B is a sparse identity where nothing is tied
+    basis, motions : (p, y), (y, z) arrays, B and Z, orthonormal; B is a sparse identity where nothing is tied, and
+        motions that no row resists are left out of Z
     spread : (y, p) array, B'
     compliance : (y, y) array, C
     delassus, rigid : (d m, d m), (d m, z) arrays, W and V
@@ -72,9 +73,10 @@ class ContactOperator:
             self._tied, self.basis = right[:rank].T @ (left[:, :rank] / size[:rank]).T, right[rank:].T
             S, HB = self.basis.T @ rows.S @ self.basis, self.H @ self.basis
         self.spread: Any = self.basis.T
-        self.motions = _null_motions(rows, self.basis)
-        self.compliance = compliance_of(S, self.motions)
-        resisted = _resisted(HB, self.motions)
+        motions = _null_motions(rows, self.basis)
+        self.compliance = compliance_of(S, motions)
+        self.motions = _motions_of_rows(HB, motions)
+        resisted = _resisted(HB, motions)
         # Where little is tied or moves rigidly a row feels few unknowns.
         few = sp.csr_matrix(resisted) if np.count_nonzero(resisted) < FEW_FELT * resisted.size else resisted
         W = np.asarray(few @ (few @ self.compliance).T)
@@ -139,6 +141,18 @@ def _resisted(rows: Array, motions: Array) -> Array:
     left = rows - (rows @ motions) @ motions.T
     size = np.linalg.norm(rows, axis=1)
     return np.where((np.linalg.norm(left, axis=1) > UNRESISTED * size)[:, None], left, 0.0)
+
+
+def _motions_of_rows(rows: Array, motions: Array) -> Array:
+    """Return an orthonormal basis (y, z) of the motions that rows resist.
+
+    The others stay at rest: of what rounding leaves of them in a row, scaled to one, an algorithm would make joints.
+    """
+    if not motions.shape[1]:
+        return motions
+    size = np.linalg.norm(rows, axis=1)
+    values, rotation = right_singular((rows / np.where(size > 0, size, 1.0)[:, None]) @ motions)
+    return np.asarray(motions @ rotation[: int(np.sum(values > UNRESISTED))].T)
 
 
 def _whole_motions(condensation: Condensation, rows: FrictionalRows, motions: Array) -> tuple[Array, float]:
@@ -357,19 +371,25 @@ def _near(
     """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
     and how many were tried: at most so many, or as many as a limit of time or the operations that are left allow.
 
-    Each is refined from the iterate, whose displacement gives the first directions of slip. Bodies that move far under
-    forces that hardly deform them need this: no force of an iterate tells which of the contacts that move little stick.
+    Each is refined from the iterate, whose displacement gives the first directions of slip, then from no displacement
+    and no forces, which in space may lead elsewhere. Bodies that move far under forces that hardly deform them need
+    this: no force of an iterate tells which of the contacts that move little stick.
     """
     plain, status = contacts.plain(form, iterate), contacts.status(form, iterate)
     sliding = (SLIP_ON,) if form.d == 3 else (SLIP_ON, SLIP_BACK)
     every = np.array(list(itertools.product((OPEN, STICK, *sliding), repeat=form.m)), dtype=np.int8)
     nearest = np.argsort(np.count_nonzero(every != status, axis=1), kind="stable")
-    for tried, combination in enumerate(every[nearest]):
+    along = np.zeros((form.m, form.d - 1))
+    nothing = Answer(np.zeros(problem.dimension), np.zeros(form.m), along, np.zeros(problem.ties))
+    starts = (plain, nothing) if form.d == 3 else (plain,)
+    for tried, (start, combination) in enumerate(itertools.product(starts, every[nearest])):
         spent = contacts.left <= 0 if most is None else tried == most
         if deadline.passed or (deadline.remaining is None and spent):
+            if tried >= len(every):
+                break
             some = f"the {tried} nearest of {len(every)} combinations"
             return [], f"; {some} fail as well; a longer time_limit tries more"
-        answer = contacts.answer_nearby(combination, plain)
+        answer = contacts.answer_nearby(combination, start)
         if holds(problem, answer):
             return [answer], ""
     return [], f"; all {len(every)} combinations, refined from there, fail as well"

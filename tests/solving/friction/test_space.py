@@ -258,3 +258,53 @@ def test_an_open_contact_without_friction_and_slip_satisfies_the_law() -> None:
     for friction in (0.0, 0.3):
         assert np.all(natural_map(none, open_, np.array([friction])) == 0.0)
         assert np.max(abs(natural_map(-open_, none, np.array([friction])))) == 1.0
+
+
+def test_motions_that_no_contact_resists_are_no_joints_of_the_local_form() -> None:
+    """Two points and a bar; one contact holds one of them, and its forces follow from balance: (20; 20, 0).
+
+    In the local form the motions of the other point, a rounding in the contact's rows, were scaled to one.
+    """
+    d = np.array([1.0, -1.0, 0.0])
+    problem = cq.ContactProblem(
+        stiffness=258.5 * np.outer(np.append(d, -d), np.append(d, -d)),
+        load=[222.1484375, -222.1484375, 0.0, -212.1484375, 212.1484375, -40.0],
+        normal=[[0.0, 0.0, 0.0, -0.5, -1.0, -1.0]],
+        gap=[0.5],
+        tangent=[[0.0, 0.0, 0.0, 1.0, 0.5, -1.0], [0.0, 0.0, 0.0, 1.0, -1.0, 0.5]],
+        friction=2.0,
+        slip_origin=[[-4.0, -2.5]],
+    )
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    np.testing.assert_allclose(solution.normal_force, [20.0], rtol=1e-12)
+    np.testing.assert_allclose(solution.friction_force.ravel(), [20.0, 0.0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(solution.displacement[3:], [-3.0, 0.0, 1.0], rtol=1e-12, atol=1e-12)
+    assert not cq.certify(problem, solution.displacement, [20.0], [20.0, 1e-6]).passed
+
+
+@pytest.mark.slow
+def test_combinations_are_refined_from_rest_too() -> None:
+    """Two contacts stick and one slides by 1/8 along (3, 4)/5; forces and displacements are dyadic, made by hand.
+
+    From the directions of slip of the last iterate the combination of the answer leads to another slip.
+    """
+    a, b = np.array([-0.59375, -1.1875]), np.array([-1.1875, -2.375])
+    K = np.zeros((6, 6))
+    for i, sign in ((0, -1.0), (3, 1.0)):
+        K[i, [0, 1]], K[i, [3, 4]] = sign * a, -sign * a
+        K[i + 1, [0, 1]], K[i + 1, [3, 4]] = sign * b, -sign * b
+    K[5, 5] = 0.5
+    problem = cq.ContactProblem(
+        stiffness=K,
+        load=[-2.40234375, 7.4453125, -3.0, 341.40234375, 105.3046875, 1.5],
+        normal=[[0, 0, 0, 3, 4, 0], [-1, 0, 0, 1, 0, 0], [0, 0, 0, 0.5, 0.75, 1.5]],
+        gap=[-4.375, -5.125, 8.25],
+        tangent=[[0, 0, 0, -4, 3, 0], [0, 0, 0, 0, 0, 5], [0, -1, 0, 0, 1, 0], [0, 0, -1, 0, 0, 1],
+                 [0, 0, 0, 0.75, -1.5, 0.5], [0, 0, 0, 1.5, 0.5, -0.75]],
+        friction=[0.5, 1.0, 2.0],
+        slip_origin=[[3.75, 30.0], [0.375, 6.25], [2.4375, -6.4375]],
+    )  # fmt: skip
+    u = np.array([4.0, -0.625, -0.25, -1.125, -0.25, 6.0])
+    assert cq.certify(problem, u, [40.0, 5.0, 45.0], [-12.0, -9.0, -2.25, 3.0, 54.0, 72.0]).passed
+    assert cq.solve(problem).certificate.passed
