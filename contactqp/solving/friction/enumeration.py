@@ -33,7 +33,7 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.friction_states import answer_in
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -101,10 +101,25 @@ class Combinations:
             missing = abs(np.einsum("bij,bj->bi", matrix, y) - right)
             rounding = ROUNDING_OF_SIZES * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
             solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
-            for b in np.flatnonzero(solved & (rank <= most)):
+            bound = (rank == values.shape[1]) & ~self._all_hold(status, y)  # nothing is free that would mend its signs
+            for b in np.flatnonzero(solved & (rank <= most) & ~bound):
                 free = rotation[b, rank[b] :]
                 if (found := self._with_signs(status[b], y[b], free, column[b])) is not None:
                     yield status[b], found
+
+    def _all_hold(self, status: Status, y: Array) -> Mask:
+        """Return which combinations (b, m) have solutions (b, q) with all signs, as `_signs` states them of one."""
+        m, rounding = status.shape[1], ROUNDING_OF_SIZES * np.max(abs(y), axis=1, initial=0.0)[:, None]
+        off = self.base - self.target + y @ self.slope.T
+        least = -DOUBTFUL * self._lengths - rounding * np.sum(abs(self.slope), axis=1)
+        normal, tangential, of_forces = y[:, :m], y[:, m : 2 * m], DOUBTFUL * self._forces
+        of_bound = self.coefficient * of_forces[:m] + of_forces[m:]
+        room = self.coefficient * normal - abs(tangential)
+        right = np.where(status == OPEN, -off[:, :m] >= least[:, :m], normal >= -of_forces[:m] - rounding)
+        right &= (status != STICK) | (room >= -of_bound - rounding * (1.0 + self.coefficient))
+        sliding = (abs(status) == 1) & (self.coefficient > 0)
+        right &= ~sliding | (status * off[:, m:] >= least[:, m:])
+        return np.asarray(np.all(right, axis=1))
 
     def _with_signs(self, status: Status, y: Vector, free: Array, scale: Vector) -> Vector | None:
         """Return one of the solutions y + scale free'c whose signs may hold, or None."""

@@ -7,7 +7,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.certificate import holds
+from contactqp.model.coulomb import all_combinations
 from contactqp.model.solution import Answer
+from contactqp.solving.friction.enumeration import Combinations, _hold
 from tests.solving.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 
 # Klarbring's (1990) family; critical coefficient W_nn/|W_nt| = 1/2. Free displacement q = W f.
@@ -209,3 +211,14 @@ def test_answers_of_other_laws_are_refused() -> None:
         assert getattr(certificate, figure) > 1e-4, figure
         assert not certificate.passed
         assert not holds(problem, Answer(np.asarray(moved), np.asarray(pressed), np.asarray(rubbed), np.zeros(0)))
+
+
+def test_signs_of_many_combinations_are_those_of_each() -> None:
+    rng, m = np.random.default_rng(0), 3
+    root, coefficient, none = rng.normal(size=(2 * m, 2 * m)), np.array([0.5, 0.0, 1.2]), np.zeros((0, 2 * m))
+    data = coefficient, rng.normal(size=2 * m), -root @ root.T, np.zeros(2 * m), none, np.zeros(0), 1e-12
+    systems, status = Combinations(*data), np.array(list(all_combinations(coefficient)), dtype=np.int8)
+    y = rng.choice([0.0, 1e-9, 1.0], (len(status), 2 * m)) * rng.normal(size=(len(status), 2 * m)) + [1, 1, 1, 0, 0, 0]
+    one_by_one = [_hold(*systems._signs(combination), one) for combination, one in zip(status, y, strict=True)]
+    assert 0 < sum(one_by_one) < len(status)
+    assert systems._all_hold(status, y).tolist() == one_by_one
