@@ -16,7 +16,7 @@ from contactqp.linalg.dense import saddle_point, unknown_scale
 from contactqp.linalg.extended import Extended, two_product
 from contactqp.linalg.friction_states import StateSystem, slip_directions
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
-from contactqp.model.coulomb import OPEN, SLIP_ON, Status
+from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
 
@@ -347,6 +347,29 @@ def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> C
     )  # fmt: skip
     posed._computed.wider_condensation = problem._computed.condensation
     return posed
+
+
+def rates_at_rest(problem: ContactProblem, begins: Indices, holds: Indices, status: Status) -> ContactProblem:
+    """Return the problem of rates of contacts that graze, unslipped, with friction; what holds is among its ties.
+
+    Parameters
+    ----------
+    problem : of the answer
+    begins, holds : contacts that graze, and those that are closed, of which none slips against friction
+    status : (m,) array of int, of which those that stick hold their tangents, too
+    """
+    assert problem.tangent is not None
+    assert problem.friction is not None
+    width = shape_of_tangents(problem)[1]
+    along, stuck = (
+        np.add.outer(width * one, np.arange(width)).ravel() for one in (begins, holds[status[holds] == STICK])
+    )
+    tie = sp.csr_array(sp.vstack([problem.tie, problem.normal[holds], problem.tangent[stuck]]))
+    return ContactProblem(
+        problem.stiffness, np.zeros(problem.dimension), problem.normal[begins], np.zeros(len(begins)),
+        tangent=problem.tangent[along], friction=problem.friction[begins], tie=tie, tie_value=np.zeros(tie.shape[0]),
+        near_null_space=problem.near_null_space,
+    )  # fmt: skip
 
 
 def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> ContactProblem:

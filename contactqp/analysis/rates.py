@@ -50,6 +50,7 @@ from contactqp.analysis.rate_data import (
     at_border,
     closed_on,
     named,
+    rates_at_rest,
     rates_posed,
     repeated,
     shape_of_tangents,
@@ -58,6 +59,7 @@ from contactqp.analysis.rate_data import (
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
 from contactqp.certificate import bounds
+from contactqp.certificate.critical_friction import critical_friction
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
@@ -256,10 +258,8 @@ class Linearised:
     @property
     def has_bounds(self) -> bool:
         """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
-        if self.shares is not None:
-            return False
-        if not (self.turns or self.redundant):
-            return self.sure
+        if self.shares is not None or not (self.turns or self.redundant):
+            return self.shares is None and self.sure
         known = self.extended_answer
         return (self.redundant or self.sure) and known is not None and known.bound is not None
 
@@ -289,8 +289,21 @@ class Linearised:
         if self.system is not None:
             return None if self.system.regular or self.shares else SINGULAR
         free = self.borders.free
-        many = len(free) > 1 and self.solution.certificate.uniqueness  # all slips of one contact are found
+        many = len(free) > 1 and bool(self.solution.certificate.uniqueness)  # all slips of one contact are found
+        many = many and not self._begin_in_one_way
         return f"{named(self.problem, free)} {IN_SPACE}" if many else None
+
+    @property
+    def _begin_in_one_way(self) -> bool:
+        """Return whether contacts that may begin to slip in space, alone, have one answer to every change of data."""
+        others, mu = np.setdiff1d(self.closed, self.borders.free), self.problem.friction
+        assert mu is not None
+        if len(self.borders.free) < len(self.undecided) or np.any((self.status[others] != STICK) & (mu[others] > 0)):
+            return False
+        try:
+            return critical_friction(rates_at_rest(self.problem, self.borders.free, others, self.status)).unique
+        except Unsupported:
+            return False
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.

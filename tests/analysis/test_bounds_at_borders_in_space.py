@@ -162,3 +162,33 @@ def test_friction_that_is_at_its_bound_to_a_rounding_has_rates_without_a_bound()
     assert "beside the border" in found.bound_reason
     assert found.left == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
     assert found.right == pytest.approx([0.6 * 1.4 / 3.28, 0.8 * 1.4 / 3.28, 0.0])
+
+
+def two_that_begin(seed: int, friction: float) -> cq.ContactProblem:
+    """Two contacts of a body graze, which a third holds by a friction at which other answers are not excluded."""
+    rng, m, n = np.random.default_rng(seed), 3, 9
+    shape = rng.integers(-2, 3, (n, n))
+    K, rows = (shape @ shape.T + 4 * np.eye(n)).astype(float), np.eye(n)[rng.permutation(n)]
+    E, T, u = rows[:m] * rng.choice([-1.0, 1.0], m)[:, None], rows[m:], rng.integers(-4, 5, n) / 2
+    load = K @ u + E.T @ [0.0, 0.0, 5.0] + T.T @ [0.0, 0.0, 0.0, 0.0, 1.0, 2.0]
+    return cq.ContactProblem(K, load, E, E @ u, T, [friction, friction, 4.0], (T @ u).reshape(m, 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_two_contacts_that_begin_to_slip_have_rates_where_they_alone_have_one_answer(seed: int) -> None:
+    problem, step = two_that_begin(seed, 0.125), 2.0**-20
+    answer, direction = cq.solve(problem), np.random.default_rng(seed).standard_normal(9)
+    assert answer.certificate.uniqueness
+    found = answer.derivative("displacement", "load", direction)
+    for sign, rate in ((-1, found.left), (1, found.right)):
+        moved = cq.solve(problem.replace(load=problem.load + sign * step * direction), warm_start=answer)
+        difference = (moved.displacement - answer.displacement) / (sign * step)
+        assert rate == pytest.approx(difference, abs=1e-3 * max(1, np.max(abs(difference))))
+
+
+def test_two_contacts_that_may_begin_to_slip_in_several_ways_have_none() -> None:
+    answer = cq.solve(two_that_begin(0, 3.0))
+    found = answer.derivative("displacement", "load", np.ones(9))
+    assert found.right is None
+    assert "other answers are not excluded" in found.reason
