@@ -340,6 +340,11 @@ def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
     )
 
 
+def narrow(state: ClosedState) -> bool:
+    """Return whether the width that rounding leaves between the bounds of a solution's energy is nothing beside it."""
+    return state.holds and _width(state) <= NOTABLE * _energy(state)[1]
+
+
 def _width(state: ClosedState) -> float:
     """Return w, the width that rounding leaves between the bounds of the solution's energy."""
     answer = state.answer.double()

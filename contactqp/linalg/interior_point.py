@@ -27,7 +27,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import with_added_diagonal
-from contactqp.linalg.least_norm import by_single_changes, carried_by_rows
+from contactqp.linalg.least_norm import by_dual_steps, by_single_changes, carried_by_rows
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.schur import factorised
@@ -223,9 +223,10 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     """Return the solution of an equilibrated problem that is nearest to an answer; `holds` says whether it is one.
 
     The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
-    steps along the central path come to from there; then those of the vertex near the answer. With `driven`, contacts
-    close in addition where the load drives a motion that those of the point leave free. Contacts of the answer that
-    nearly depend on each other come last, one by one (`by_single_changes`).
+    steps along the central path come to from there; then, of programs with vertices, those that a dual active set leads
+    to from either; then those of the vertex near the answer. With `driven`, contacts close in addition where the load
+    drives a motion that those of the point leave free. Contacts of the answer that nearly depend on each other come
+    last, one by one (`by_single_changes`).
 
     Parameters
     ----------
@@ -242,6 +243,11 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     point = sharpened(problem, answer, effort)
     middle = ExtendedAnswer.of(point.answer)
     state = nearest_state(problem, point.closed, middle, effort, driven)
+    if not state.holds and mostly_bare(problem):
+        for closed, near in ((point.closed, middle), (_closed_in(problem, answer), start)):
+            found = by_dual_steps(solved_on(problem, closed, near, effort), effort)
+            if found.holds:
+                return found
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
     state = state if vertex is None else vertex
     return state if state.holds or mostly_bare(problem) else _by_pivots(problem, answer, state, effort)

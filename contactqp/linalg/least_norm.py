@@ -22,8 +22,17 @@ from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
 from contactqp.linalg.schur import factorised
-from contactqp.linalg.sparse_saddle import SOLVED, ClosedState, Effort, solved_on, with_right_signs
-from contactqp.model.arrays import EPS, Array, Indices, Vector, refuse_late
+from contactqp.linalg.sparse_saddle import (
+    REGULARISATIONS,
+    SIGNED,
+    SOLVED,
+    ClosedState,
+    Effort,
+    kept_saddle,
+    solved_on,
+    with_right_signs,
+)
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -37,6 +46,13 @@ PRESSED = 1e3
 FEW_DIGITS = 1e-18
 # Changes of contacts one by one, times unknowns and contacts: where few are open at the end, some dozens lead there.
 SINGLE_CHANGES = 600_000
+# The same of a dual active set, for all answers from which it goes on.
+DUAL_CHANGES = 1_500_000
+# Contacts that close while the largest penetration does not halve, before it is given up: forces that rounding leaves
+# unbalanced may drive motions without end.
+IN_VAIN = 50
+# Forces that fall by less than this for one on the row that is to close do not fall.
+FALLS = 1e-9
 
 
 def shift_to_least_norm(
@@ -239,3 +255,76 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
 def _goes_on(changes: Iterator[int], effort: Effort) -> bool:
     refuse_late("contacts open and close one by one")
     return next(changes, None) is not None and not effort.exhausted()
+
+
+def by_dual_steps(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state that a dual active set leads to; `holds` says whether it solves the problem.
+
+    Where more contacts meet than unknowns can tell apart, rounding of the data decides which of them close, by forces
+    and gaps far beneath those that act, and changes of all at once go round. Here contacts in tension open first, as
+    long as the others balance the load. Then the contact that is penetrated most closes; on the way to the solution
+    with it those open whose forces reach zero first, and where its row depends on closed ones, one of these in its
+    place. No contact pulls on the way and the dual energy rises (Goldfarb and Idnani 1983).
+    """
+    most = DUAL_CHANGES // max(len(state.closed) + len(state.problem.load), 1)
+    changes, effort.ranked, within = iter(range(effort.singles, most)), True, effort.most
+    effort.most = np.inf  # these are counted by themselves
+    if not state.solved:
+        state = solved_on(state.problem, state.closed, state.answer, effort)
+    least, since = np.inf, 0
+    while state.solved and not state.holds and since < IN_VAIN and _goes_on(changes, effort):
+        if np.any(pulled := state.pulled):
+            state = solved_on(state.problem, state.closed & ~pulled, state.answer, effort)
+            continue
+        gap = np.where(state.penetrated, state.left.gap.double(), 0.0)
+        least, since = (-np.min(gap), 0) if -np.min(gap) < least / 2 else (least, since + 1)
+        after = _closing(state, int(np.argmin(gap)), changes, effort)
+        if after is None:
+            break
+        state = after
+    effort.ranked, effort.singles, effort.most = False, next(changes, most), within
+    return state
+
+
+def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: Effort) -> ClosedState | None:
+    """Return the state that the dual active set leads to when a penetrated contact closes; None where it leads to none.
+
+    Parameters
+    ----------
+    state : ClosedState, solved, in which no contact pulls
+    contact : int, the one that is to close
+    changes : those that are left
+    effort : counts factorisations and back-substitutions
+    """
+    force, closed, answer = np.maximum(state.answer.normal_force.double(), 0.0), state.closed.copy(), state.answer
+    closed[contact] = True
+    while _goes_on(changes, effort):
+        after = solved_on(state.problem, closed, answer, effort)
+        if after.solved:
+            answer, change = after.answer, after.answer.normal_force.double() - force
+            falling = closed & (force + change < -SIGNED * after.force)
+        else:  # the row depends on those of closed contacts, and contradicts them by more than rounding
+            change = _pushed_by(state.problem, closed, contact, effort)
+            falling = closed & (change < -FALLS)
+        falling[contact] = False
+        opening = np.flatnonzero(falling)
+        if not opening.size:
+            return after if after.solved else None
+        part = force[opening] / -change[opening]
+        force = np.where(closed, np.maximum(force + np.min(part) * change, 0.0), 0.0)
+        first = opening[np.argmin(part)]
+        closed[first], force[first] = False, 0.0
+    return None
+
+
+def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effort) -> Vector:
+    """Return the change of contact forces (m,) when one contact pushes by one against the other closed ones."""
+    others, change = closed.copy(), np.zeros(problem.contacts)
+    others[contact] = False
+    held = np.flatnonzero(others)
+    push = -problem.normal[[contact]].toarray().ravel()
+    saddle = kept_saddle(problem, others, REGULARISATIONS[0], effort)
+    change[held] = saddle.solve(push, np.zeros(len(held)), np.zeros(problem.ties))[1]
+    effort.back_substitutions += 1
+    change[contact] = 1.0
+    return change

@@ -26,7 +26,7 @@ from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, exten
 from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import outer_forces, row_sizes
-from contactqp.linalg.schur import LARGE, PivotedSaddle, factorised, uncoupled
+from contactqp.linalg.schur import LARGE, OF_RANK, PivotedSaddle, RankedSaddle, factorised, uncoupled
 from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -183,8 +183,9 @@ class Effort:
 
     `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
     after which no more are made; `cut` says that one was not made for either reason. `pivots` says whether rows that
-    are not met together get factors with pivots, `in_vain` how often these led to no solution. `first` is what was
-    added to the diagonal where sweeps met a set of contacts: for the sets that follow it is tried first.
+    are not met together get factors with pivots, which led to no solution `in_vain` times, `ranked` whether dense ones
+    tell their rank. `singles` counts contacts that changed one by one. `first` is what was added to the diagonal where
+    sweeps met a set of contacts: for the sets that follow it is tried first.
     """
 
     factorisations: int = 0
@@ -193,6 +194,8 @@ class Effort:
     most: float = np.inf
     cut: bool = False
     pivots: bool = False
+    ranked: bool = False
+    singles: int = 0
     in_vain: int = 0
     first: float = REGULARISATIONS[0]
 
@@ -352,7 +355,21 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
         if state.residual <= FINE:
             effort.first = regularisation
             break
+    state = _by_rank(state, start, effort) if effort.ranked and not state.solved else state
     return by_pivots(state, effort) if effort.pivots and state.length_residual > MET_TOGETHER else state
+
+
+def _by_rank(state: ClosedState, start: ExtendedAnswer, effort: Effort) -> ClosedState:
+    """Return the state that dense factors lead to which tell the rank of rows, or the same where they lead to none."""
+    problem, closed = state.problem, np.flatnonzero(state.closed)
+    if state.residual > NEARLY_MET or (len(closed) + problem.ties) * problem.dimension**2 > OF_RANK:
+        return state
+    saddle, effort.factorisations = RankedSaddle(problem, closed), effort.factorisations + 1
+    for before in (state, ClosedState.of(problem, state.closed, start)):
+        after = _swept(_corrected(before, saddle, effort), saddle, effort)
+        if after.solved:
+            return after
+    return state
 
 
 def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
@@ -375,7 +392,7 @@ def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
     return state
 
 
-def _corrected(state: ClosedState, saddle: SparseSaddle | PivotedSaddle, effort: Effort) -> ClosedState:
+def _corrected(state: ClosedState, saddle: SparseSaddle | PivotedSaddle | RankedSaddle, effort: Effort) -> ClosedState:
     closed = np.flatnonzero(state.closed)
     du, dl, dn, solved = saddle.correction(*state.left.double(closed))
     effort.back_substitutions += solved
@@ -402,7 +419,7 @@ def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, ef
     return kept[key]
 
 
-def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle, effort: Effort) -> ClosedState:
+def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle | RankedSaddle, effort: Effort) -> ClosedState:
     """Refine with one factorisation for as long as sweeps reduce the residual by a good part."""
     slow = 0
     for _ in range(SWEEPS):

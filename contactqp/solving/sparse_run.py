@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.energy_bounds import unique_on
+from contactqp.certificate.energy_bounds import narrow, unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import least_norm, pardiso
 from contactqp.linalg.condensation import condense
@@ -41,6 +41,7 @@ from contactqp.linalg.sparse_saddle import (
     SYSTEMS_AT_FIRST,
     WASTED,
     WASTED_AT_FIRST,
+    WORTH_ANOTHER,
     ClosedState,
     Effort,
 )
@@ -117,12 +118,12 @@ class SparseRun(Run):
 
     def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
         super().__init__(problem, method)
-        self._effort, self._most = Effort(wasted=WASTED_AT_FIRST), settings.max_iter or np.inf  # factorisations
+        self._effort = Effort(wasted=WASTED_AT_FIRST, singles=least_norm.DUAL_CHANGES if settings.max_iter else 0)
+        self._most = settings.max_iter or np.inf  # factorisations
         self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
         self._twin, self._scaling = equilibrated(problem)
         self._state: ClosedState | None = None
-        self._settings = settings
-        self._looked_for_overlap = False
+        self._settings, self._looked_for_overlap = settings, False
         self._last: Candidate | None = None  # the answer that was looked at last
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
@@ -140,10 +141,7 @@ class SparseRun(Run):
                 self.candidate = method.solve(problem, settings.now)
 
     def _identified(self, settings: Settings) -> Candidate:
-        """Return the answer of the first backend whose closed contacts lead to a solution in the last digits.
-
-        Where the time is up before one does, it is the last that was looked at.
-        """
+        """Return the answer that `_settled` finds, or the last that was looked at where the time is up."""
         try:
             return self._settled(settings) if self.problem.contacts else self._linear()
         except NotConverged as error:
@@ -156,18 +154,19 @@ class SparseRun(Run):
 
         Where many changes of the set lead from one answer to no solution, the next is asked for first.
         """
-        tried: list[str] = []
         best: Candidate | None = None
-        failed: list[Candidate] = []
+        tried, failed = list[str](), list[Candidate]()
         for found in self._candidates(settings, tried):
             before, self._last = self._state, found
             if not found.claimed:
                 refuse_ray(self.problem, self._scaling.scale(found.answer))
             state = self._settle(found)
-            if state.holds and (before is None or state.better_than(before)):
-                best = found
+            if before is not None and not (state.holds and state.better_than(before, WORTH_ANOTHER)):
+                self._state = before  # what it leaves is rounding of the data
+                break
+            if state.holds:
+                best, self._effort.singles = found, least_norm.DUAL_CHANGES  # others need not be led on one by one
             else:
-                self._state = before
                 if self._effort.cut or (not found.claimed and self._effort.wasted < WASTED):
                     self._waiting.append(found)
                 if found not in failed:
@@ -175,7 +174,7 @@ class SparseRun(Run):
                     tried.append(found.status)
                 if not found.claimed:
                     self._refuse_overlap()
-            if self._state is not None and self._state.force_residual <= ENOUGH:
+            if self._state is not None and (self._state.force_residual <= ENOUGH or narrow(self._state)):
                 break
         if best is None:
             self.refuse_conflict()
@@ -194,8 +193,7 @@ class SparseRun(Run):
         bounded = bounded and (not self.problem.ties or _separate(self.problem))
         order, steps, nearly_dependent = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None, False
         program = mostly_bare(self.problem)
-        if not program:
-            order = [other for other in order if other[2] != BALANCED_UNITS]
+        order = [other for other in order if program or other[2] != BALANCED_UNITS]
         while order and self._effort.factorisations < self._most:
             name, tolerance, units = order.pop(0)
             refuse_late(f"{name} began")
@@ -288,9 +286,9 @@ class SparseRun(Run):
         """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
         if self._state is None and self.polish and self.method.polish and all_finite(self.candidate.answer):
             self._polish_in_time()
-        if self._state is None and not self.candidate.claimed and not time_is_up():
-            self._refuse_overlap()
         if self._state is None:
+            if not self.candidate.claimed and not time_is_up():
+                self._refuse_overlap()
             return Final(replace(self.candidate.answer, friction_force=None))
         if least_norm.presses(self._state) and not unique_on(self._state).forces:
             with in_any_time():  # the problem is solved, and this takes little beside that
@@ -307,8 +305,10 @@ class SparseRun(Run):
                 self._asked(self.problem, None, OF_NEARLY_DEPENDENT | dict(self._settings.options))
             if self._state is None:
                 self._settle(self.candidate)
-            if self._state is None and not self._settings.max_iter:
+            kept = self._state
+            if (kept is None or (mostly_bare(self.problem) and not narrow(kept))) and not self._settings.max_iter:
                 self._ask_again()
+                self._state = self._state or kept
                 if self._state is None and not self.candidate.claimed and INFEASIBLE not in self.candidate.status:
                     self._effort.wasted = WASTED  # there is no other answer to ask for: all is made of this one
                     self._settle(self.candidate)

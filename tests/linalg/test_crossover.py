@@ -15,7 +15,9 @@ from contactqp.linalg import interior_point, sparse_saddle
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.interior_point import MET_TOGETHER, without_conflict
-from contactqp.linalg.sparse_saddle import Effort, nearest_state
+from contactqp.linalg.least_norm import by_dual_steps
+from contactqp.linalg.schur import RankedSaddle
+from contactqp.linalg.sparse_saddle import Effort, nearest_state, solved_on
 from contactqp.model.solution import Answer, Candidate
 
 UNKNOWNS, ROWS, IDLE = 3, 9, 8
@@ -286,3 +288,68 @@ def test_a_tie_that_is_a_sum_of_others_is_judged_as_they_are() -> None:
         assert certificate.passed is passes
     with pytest.raises(cq.NotCertified, match="tie 2 depends on other ties, and is missed by 1 "):
         cq.solve(tied_twice(1e-13))  # it holds a third unknown, which doubles hardly tell
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_a_dual_active_set_ends_at_the_vertex_of_rounded_planes(seed: int) -> None:
+    """From any three planes that carry the load it goes to where none is penetrated, with the energy of rationals."""
+    problem, _, _ = corner(seed)
+    twin, scaling = equilibrated(problem)
+    exact, start = exact_energy(problem), Answer(np.zeros(UNKNOWNS + IDLE), np.zeros(ROWS + IDLE), None, np.zeros(0))
+    carried = 0
+    for three in combinations(range(ROWS), UNKNOWNS):
+        closed = np.ones(problem.contacts, dtype=bool)
+        closed[:ROWS] = np.isin(np.arange(ROWS), three)
+        state = solved_on(twin, closed, ExtendedAnswer.of(scaling.scale(start)), Effort())
+        if not state.solved or state.pulled.any():
+            continue
+        carried += 1
+        found = by_dual_steps(state, Effort())
+        assert found.holds
+        energy = problem.energy(scaling.unscale(Candidate(found.answer.double())).displacement)
+        assert energy == pytest.approx(float(exact), rel=1e-15)
+    assert carried > 1
+
+
+def plan(seed: int, unknowns: int, rows: int) -> tuple[cq.ContactProblem, np.ndarray]:
+    """A program of decimals with known multipliers at a vertex in which more rows and bounds meet than unknowns."""
+    random = np.random.default_rng([unknowns, seed])
+    C = np.zeros((rows, unknowns))
+    for row in C:
+        at = random.choice(unknowns, min(unknowns, 2 + random.poisson(4)), replace=False)
+        decimals = np.round(random.uniform(0.05, 9, len(at)) * 10.0 ** random.integers(-1, 2, len(at)), 3)
+        row[at] = random.choice([-1.0, 1.0], len(at)) * np.where(random.random(len(at)) < 0.5, 1.0, decimals)
+    x = np.round(random.uniform(0, 100, unknowns), 1) * (random.random(unknowns) >= 0.6)
+    limit, equal, upper = np.round(C @ x, 4), random.random(rows) < 0.65, random.random(rows) < 0.5
+    y = np.round(random.normal(size=rows) * 3, 2) * (random.random(rows) >= 0.3)
+    y = np.where(equal, y, np.where(upper, -abs(y), abs(y)))
+    z = np.round(abs(random.normal(size=unknowns)), 2) * (random.random(unknowns) >= 0.3) * (x == 0)
+    energy = np.zeros(unknowns)
+    energy[random.choice(unknowns, unknowns // 12, replace=False)] = np.round(random.uniform(1, 10, unknowns // 12), 1)
+    sides = np.where(equal | ~upper, limit, -np.inf), np.where(equal | upper, limit, np.inf)
+    given = dict(C=C, l=sides[0], u=sides[1], lb=np.zeros(unknowns))
+    return cq.ContactProblem.from_qp(np.diag(energy), C.T @ y + z - energy * x, **given), x
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "unknowns"), [(1, 150), (11, 60), (0, 100)])
+def test_programs_whose_vertex_rounding_decides_are_solved(seed: int, unknowns: int) -> None:
+    """All at once, contacts that only rounding opens or closes go round; the energy is known of the vertex."""
+    problem, x = plan(seed, unknowns, int(0.55 * unknowns))
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.energy == pytest.approx(problem.energy(x), rel=1e-13)
+    wrong = solution.normal_force + np.where(np.arange(problem.contacts) == np.argmax(solution.normal_force), 1e-3, 0.0)
+    assert not cq.certify(problem, solution.displacement, wrong, tie_force=solution.tie_force).passed
+
+
+def test_dense_factors_tell_rows_that_depend_on_others() -> None:
+    """Of four rows two are equal and one is a sum: the answer is that of two, the forces are the least ones."""
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    problem = cq.ContactProblem(np.diag([2.0, 1.0, 4.0]), [5.0, 3.0, 2.0], rows, [1.0, 1.0, 2.0, 1.0])
+    u, force, _, _ = RankedSaddle(problem, np.arange(4)).correction(problem.load, problem.gap, np.zeros(0))
+    assert u == pytest.approx([1.0, 1.0, 0.5], rel=1e-14)
+    assert rows.T @ force == pytest.approx([3.0, 2.0, 0.0], abs=1e-14)
+    least = np.linalg.lstsq((rows / np.linalg.norm(rows, axis=1)[:, None]).T, [3.0, 2.0, 0.0], rcond=None)[0]
+    assert force * np.linalg.norm(rows, axis=1) == pytest.approx(least, rel=1e-13)

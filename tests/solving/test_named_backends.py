@@ -9,13 +9,12 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import sparse_saddle
+from contactqp.linalg import least_norm, sparse_saddle
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.least_norm import presses
 from contactqp.linalg.schur import uncoupled
 from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, solved_on
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving import sparse_run
 from contactqp.solving.methods import Settings, find
 from contactqp.solving.sparse_run import SparseRun
 from tests.solving.test_many_rows import nearest_with_differences
@@ -185,8 +184,8 @@ def test_forces_that_are_unique_are_not_shared_anew_however_large_they_are(monke
     def none(*_: object) -> None:
         raise AssertionError("a linear program for forces that are unique")
 
-    monkeypatch.setattr(sparse_run, "presses", noted)
-    monkeypatch.setattr(sparse_run, "with_least_forces", none)
+    monkeypatch.setattr(least_norm, "presses", noted)
+    monkeypatch.setattr(least_norm, "with_least_forces", none)
     solution = cq.solve(boundary_control(60))
     assert solution.certificate.proven
     assert pressed == [True]
