@@ -54,6 +54,8 @@ NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
 # A combination of forces is determined by balance where so little of it is beyond the range, and positive where it is
 # this part of the largest force.
 DETERMINED, BEYOND_ROUNDING = 1e-11, 1e-9
+# Gaps of this part of the largest length are closed.
+CLOSED = 1e-9
 # A norm that sees less than this part of a motion is blind.
 SEEN = 1e-9
 
@@ -193,6 +195,13 @@ def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: V
     found = np.where(closed, over(refined.normal, norms.normal_force), over(refined.gap, norms.gap))
     found = np.where(sticks, np.minimum(found, room), found)
     return np.asarray(np.where(slides, np.minimum(found, over(along, norms.slip)), found))
+
+
+def wedged(compliance: ContactOperators, mu: Vector, refined: RefinedLengths) -> bool:
+    """Return whether a contact is closed whose gap ties hold and whose slip they do not: any force may press it."""
+    felt, lengths_there = felt_rows(compliance), np.column_stack([refined.normal, refined.gap, refined.slip])
+    least = refined.correction + CLOSED * np.max(abs(lengths_there), initial=0.0)
+    return bool(np.any(~felt[:, 0] & felt[:, 1:].any(axis=1) & (mu > 0) & (refined.gap <= least)))
 
 
 def over(size: Vector, norm: Vector) -> Vector:

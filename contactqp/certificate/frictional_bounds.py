@@ -97,6 +97,7 @@ from contactqp.certificate.force_norms import (
     part_that_is_seen,
     rigid_uncertainty,
     rows_with_friction,
+    wedged,
 )
 from contactqp.certificate.state_bodies import (
     ROUNDED,
@@ -123,6 +124,7 @@ FLOATS = "a body is held by contacts alone"
 # than the answer that is judged.
 AT_BORDER, FAR_ENOUGH = 1e-9, 4.0
 ROWS_DEPEND = "contact rows depend on one another, or nearly: compliance has no inverse"
+WEDGED = "ties close a contact with friction, which may press with any force"
 NO_MARGIN = "a contact is within rounding of another state"
 SLIDES_FREELY = "contacts slip along a motion that nothing else resists: rounding decides whether friction balances it"
 
@@ -208,6 +210,8 @@ def _proven_nearby(
     if norms is None:
         return ROWS_DEPEND
     others = f"other equilibria are not excluded ({others})"
+    if wedged(compliance, mu, refined):
+        return f"{others}, and {WEDGED}"
     uncertain, apart, seen, free = refined.correction, 0.0, 1.0, False
     if compliance.floats:
         if not (seen := part_that_is_seen(problem, condensation, mu, refined)):
@@ -228,11 +232,9 @@ def _proven_nearby(
     around = max(float(np.hypot(compared.displacement, apart)), pushed) + error
     radius = reach - around
     if not radius > around:
-        at = (
-            None
-            if compliance.floats
-            else _at_borders(compliance, compared.status, mu, refined, condensation.lost_digits, around)
-        )
+        at = None
+        if not compliance.floats:
+            at = _at_borders(compliance, compared.status, mu, refined, condensation.lost_digits, around)
         if at is None:
             return f"{others}, and {NO_MARGIN}"
         norms, error, radius = at
@@ -399,8 +401,7 @@ def _distance(
 
 
 def _coefficient(problem: ContactProblem, compared: Compared) -> Vector:
-    assert problem.friction is not None
-    return np.where(compared.frictional, problem.friction, 0.0)
+    return np.where(compared.frictional, 0.0 if problem.friction is None else problem.friction, 0.0)
 
 
 def _bounds(
@@ -477,8 +478,8 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         acting = acting_rows(compliance, status, mu)
         of_acting = norms_of_skew(compliance, W, mu, 0.0, acting)[0] if skew else None
         norms = of_acting if skew else ForceNorms.nearby(compliance, 0.0, status, mu)
-        if norms is None:
-            return ROWS_DEPEND
+        if norms is None or wedged(compliance, mu, refined):
+            return ROWS_DEPEND if norms is None else WEDGED
         slips = slips_nearby(compliance, status, mu, W if skew else None)
         left, least = 2 * last + refined.correction, np.min(margins_of(refined, norms, status, mu), initial=np.inf)
         margin = float(least) - refined.correction

@@ -159,8 +159,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     tangent = np.zeros((0, len(scale))) if condensation.tangent is None else condensation.tangent.toarray() * scale
     width = len(tangent) // m if m else 0
     rows = np.concatenate([(condensation.normal * scale)[:, None], tangent.reshape(m, width, -1)], axis=1)
-    tie = condensation.tie * scale
-    tie = tie / _lengths(tie)[:, None]
+    tie = _unit(condensation.tie * scale)[0]
     Z = orthonormal_motions(condensation)
     factor = None
     if len(scale):
@@ -181,8 +180,9 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
         elimination, grown = V @ inverse, float(np.linalg.norm(inverse, 2) * np.linalg.norm(J, 2))
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
-    lost = max(condensation.lost_digits, len(scale) * EPS)
-    ties = len(tie) if len(J) else 0
+        unfelt = W.diagonal() <= max(HELD, EPS * grown) * before
+        W[unfelt] = W[:, unfelt] = 0.0  # what rounding leaves of rows in the span of ties would pass for compliance
+    lost, ties = max(condensation.lost_digits, len(scale) * EPS), len(tie) if len(J) else 0
 
     def measured() -> float:
         return _measured_rounding(problem, condensation, made)

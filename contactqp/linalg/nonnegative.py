@@ -371,3 +371,21 @@ def width_within(turns: Array, signs: Vector, far: float) -> float:
             return 0.0 if end.status == 2 else np.inf
         ends.append(float(end.fun))
     return -sum(ends)
+
+
+def width_of(forms: Array, turns: Array, signs: Vector, far: float) -> float:
+    """Return how far apart some of the linear forms may be, forms z, at z with signs + turns z >= 0 and |z| <= far.
+
+    Infinite where that is not found out.
+
+    Parameters
+    ----------
+    forms, turns : (p, k), (q, k)
+    signs : (q,), none of them negative
+    far : the largest component of z
+    """
+    widest = 0.0
+    for form in forms:
+        ends = [highs(sign * form, **given_rows("ub", -turns, signs), bounds=(-far, far)) for sign in (1.0, -1.0)]
+        widest = max(widest, np.inf if None in ends else -sum(float(end.fun) for end in ends))
+    return widest

@@ -74,7 +74,7 @@ class Computed:
     untouched: Mask | None = None  # linalg.measures
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
-    several_answers: Any = None  # certificate.uniqueness: what was found of the last load, with what it was of
+    several_answers: Any = None  # certificate.other_answers: what was found of the last load, with what it was of
     critical_friction: Any = None  # certificate.critical_friction
     all_contacts: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone

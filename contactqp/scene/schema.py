@@ -20,8 +20,8 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from contactqp.scene import fields
 from contactqp.scene.blocks import Frame
+from contactqp.scene.blocks.beams_and_strings import LineLoad
 from contactqp.scene.blocks.element import ROTATION
-from contactqp.scene.blocks.strings import LineLoad
 from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, Number, TwoNames, add_patterns_of_units, check_own_keys, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction

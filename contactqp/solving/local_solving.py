@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.local_certificate import judged, with_uniqueness
-from contactqp.certificate.uniqueness import NOTHING
+from contactqp.certificate.other_answers import NOTHING
 from contactqp.errors import (
     InvalidProblem,
     NoEquilibrium,

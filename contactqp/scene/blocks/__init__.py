@@ -16,11 +16,10 @@ from pydantic import AfterValidator, Field, model_validator
 from contactqp.elements.scalars import Numbers
 from contactqp.scene import fields
 from contactqp.scene.blocks.bars import Bar
-from contactqp.scene.blocks.beams import Beam
+from contactqp.scene.blocks.beams_and_strings import Beam, String
 from contactqp.scene.blocks.element import Element, Measure
 from contactqp.scene.blocks.matrices import PointMass, StiffnessMatrix
 from contactqp.scene.blocks.springs import Spring
-from contactqp.scene.blocks.strings import String
 from contactqp.scene.fields import Block, Name, NodeName
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
 

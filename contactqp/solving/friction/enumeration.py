@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 
 from contactqp.certificate.certificate import holds
-from contactqp.certificate.uniqueness import NOTHING
+from contactqp.certificate.other_answers import NOTHING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate import uniqueness
+from contactqp.certificate import other_answers
 from contactqp.certificate.critical_friction import _one_sign, of_operator
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.elements.material import Material
@@ -359,14 +359,14 @@ def test_compliances_whose_inverse_leaves_the_floats_are_no_contraction():
 
 def test_other_answers_are_looked_for_once_a_problem_and_anew_for_another_load(monkeypatch: pytest.MonkeyPatch) -> None:
     """Klarbring's contact has three answers at one load and one at another; all share their stiffness and rows."""
-    looked, look = [], uniqueness._several_answers
+    looked, look = [], other_answers._several_answers
 
     def counted(problem: cq.ContactProblem, condensation: Any, doubtful: float) -> bool | None:
-        if doubtful == uniqueness.DOUBTFUL:
+        if doubtful == other_answers.DOUBTFUL:
             looked.append(problem)
         return look(problem, condensation, doubtful)
 
-    monkeypatch.setattr(uniqueness, "_several_answers", counted)
+    monkeypatch.setattr(other_answers, "_several_answers", counted)
     data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], normal=[[-1.0, 0.0]], gap=[0.0], tangent=[[0.0, 1.0]])
     several = cq.ContactProblem(**data, load=[-1.0, 0.65], friction=0.8)
     assert [one.certificate.uniqueness for one in cq.equilibria(several)] == [("several answers",)] * 3

@@ -1,0 +1,307 @@
+"""Whether a frictional problem in the plane has other answers at its load: all combinations are looked through.
+
+Each combination of open, stick and slip is a linear system in the contact forces l and joints j
+(`contactqp.linalg.delassus`), and an answer where its signs hold. Answers are told apart by how the contacts move:
+normal rows, and tangential ones where there is friction. Signs and motions are measured contact by contact, against
+what rounding makes of the system: a contact that is far, or has slipped far, hides no answer at another. Where a system
+leaves something free that moves contacts, a linear program decides whether signs can hold; if they can, there is a
+family of answers. `contactqp.equilibria` refines each of them; here they are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactqp.certificate.critical_friction import SINGULAR_SYSTEM, combinations, regular, system_matrices
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import contact_compliance
+from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.coulomb import OPEN, STICK
+from contactqp.model.problem import ContactProblem
+
+# 4^5 systems take some ten milliseconds.
+MOST_COUNTED = 5
+# Each system that leaves something free takes some linear programs.
+MOST_LOOSE = 30
+# Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
+DOUBTFUL = 1e-9
+# Answers that are there only by more than this part are not sure to be others: friction is near its limit.
+SURE = 1e-13
+# Of the largest force, what rounding may leave of another.
+ROUNDING = 1e-13
+# Of the largest displacement that the loads make without contacts, what rounding may leave of another.
+NOTHING = 1e-12
+# Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
+SAME = 1e-6
+# Ends of families, which linear programs find, are two answers where contacts lie apart by this part.
+PROGRAMMED = 1e-5
+# Entries of the systems are off by this part, and solutions by no more than so many times what the inverse makes of it.
+LOST, SAFE = 1e-15, 30.0
+
+
+def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
+    """Return whether more than one answer exists, or a family of them; it is computed once for a problem.
+
+    None where too many systems leave something free, where their signs are beyond the range of doubles, or where the
+    others are there by an allowance for rounding alone.
+    """
+    of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
+    cached = problem._computed.several_answers
+    if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
+        several = _several_answers(problem, condensation, DOUBTFUL)
+        if several and not _several_answers(problem, condensation, SURE):
+            several = None
+        cached = problem._computed.several_answers = of, several
+    found: bool | None = cached[1]
+    return found
+
+
+def _several_answers(problem: ContactProblem, condensation: Condensation, doubtful: float) -> bool | None:
+    """Return whether there may be several answers; where signs are doubtful by no more than `SURE`, whether there are.
+
+    Parameters
+    ----------
+    problem, condensation : with friction in the plane
+    doubtful : by which the signs along families may fail, of what meets there
+    """
+    system = _Systems(problem, condensation, doubtful)
+    status = combinations(system.mu)
+    matrices, right = system.assembled(status)
+    singular = ~regular(matrices)
+    y, free = np.zeros_like(right), dict[int, Array]()
+    y[~singular] = np.linalg.solve(matrices[~singular], right[~singular][:, :, None])[:, :, 0]
+    for b in np.flatnonzero(singular).tolist():
+        y[b], free[b] = _least(matrices[b], right[b])
+    alone = np.array([b not in free or not len(free[b]) for b in range(len(status))])
+    off = system.rounding(matrices, right, status, y, alone)
+    held = alone & system.holds(status, y, *off)
+    clear = held & system.holds(status, y, -off[0], -off[1])
+    side = np.linalg.slogdet(matrices)[0]
+    found = [_Found(y[b], off[0][b], bool(clear[b]), float(side[b])) for b in np.flatnonzero(held)]
+    loose = []
+    for b in np.flatnonzero(~alone).tolist():
+        sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
+        rounding = system.nothing + ROUNDING * abs(y[b]).max(initial=0.0)
+        if np.any(abs(matrices[b] @ y[b] - right[b]) > doubtful * sizes + rounding):
+            continue
+        signs = _Signs(system, status[b], y[b], free[b])
+        if signs.may_hold:
+            loose.append(signs)
+    if len(loose) > MOST_LOOSE:
+        return None
+    for signs in loose:
+        if (extremes := signs.extremes()) is None:
+            return None
+        found += [_Found(one, None, True, 0.0) for one in extremes]
+    if doubtful > SURE:
+        return any(system.apart(one, found[0]) is not False for one in found[1:])
+    return _surely_several(system, found)
+
+
+def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
+    """Return the least-squares solution of least norm, and the directions (k, q) of the null space."""
+    left, values, rotation = np.linalg.svd(matrix)
+    kept = values > SINGULAR_SYSTEM * values[0]
+    return rotation[kept].T @ ((left.T @ right)[kept] / values[kept]), rotation[~kept]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """An answer of a combination; of families those that move the contacts furthest apart."""
+
+    y: Vector
+    off: Array | None  # (m, 2) by which rounding may move the contacts; None of families
+    clear: bool  # whether its signs hold by more than rounding
+    side: float  # the sign of the determinant of its combination
+
+
+def _surely_several(system: _Systems, found: list[_Found]) -> bool:
+    """Return whether two answers are there, and apart, whatever rounding does.
+
+    An answer whose signs fail or hold by rounding alone lies where its combination meets others. If their determinants
+    have one sign, the law maps what is around it onto all that is around its load, and the answer stays; where they
+    have not, the load may be at the edge of those that have such answers.
+    """
+    apart = [[system.apart(one, other) for other in found] for one in found]
+    stays = [
+        one.clear or all(other.side * one.side > 0 for other, far in zip(found, row, strict=True) if far is not True)
+        for one, row in zip(found, apart, strict=True)
+    ]
+    return any(stays[i] and stays[j] and apart[i][j] for i in range(len(found)) for j in range(i))
+
+
+class _Systems:
+    """The linear systems of all combinations in y = (l, j); signs may fail by a doubtful part of what meets."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, doubtful: float) -> None:
+        self.doubtful = doubtful
+        compliance = contact_compliance(problem, condensation)
+        if problem.friction is None or problem.slip_origin is None:
+            raise ValueError("answers are counted with friction only")
+        self.mu = problem.friction
+        self._W, self._V, self._J = compliance.W, compliance.V, compliance.J
+        free, self._held = compliance.free(problem, condensation)
+        limits = np.stack([problem.gap, problem.slip_origin[:, 0]], axis=1) / compliance.scale[:, None]
+        self._room = (limits.ravel() - free).reshape(-1, 2)  # of gap and slip without forces
+        self._given = (abs(limits).ravel() + abs(free)).reshape(-1, 2)
+        self.nothing = NOTHING * max(float(abs(part).max(initial=0.0)) for part in (free, self._held))
+        self._lost = LOST + compliance.rounding
+        self._compliance = np.diagonal(self._W).reshape(-1, 2)
+        self._slope = -np.hstack([self._W, self._V])
+        self._acting_rows = np.repeat(self.mu > 0, 2)
+        self._acting_rows[::2] = True
+        self._felt = self._slope[self._acting_rows]
+
+    def assembled(self, status: NDArray[np.int8]) -> tuple[Array, Array]:
+        """Return the matrices (c, q, q) and right-hand sides (c, q) of combinations (c, m)."""
+        m, joints = len(self.mu), len(self._J)
+        matrices = np.zeros((len(status), 2 * m + joints, 2 * m + joints))
+        right = np.zeros(matrices.shape[:2])
+        matrices[:, : 2 * m, : 2 * m] = system_matrices(self._W, self.mu, status)
+        closed = np.stack([status != OPEN, status == STICK], axis=2).reshape(len(status), 2 * m)
+        matrices[:, : 2 * m, 2 * m :] = np.where(closed[:, :, None], self._V, 0.0)
+        right[:, : 2 * m] = np.where(closed, -self._room.ravel(), 0.0)
+        matrices[:, 2 * m :, : 2 * m], matrices[:, 2 * m :, 2 * m :] = self._V.T, self._J
+        right[:, 2 * m :] = self._held
+        return matrices, right
+
+    def rounding(
+        self, matrices: Array, right: Array, status: NDArray[np.int8], y: Array, alone: Mask
+    ) -> tuple[Array, Array]:
+        """Return how far rounding may move the contacts of solutions (c, q), and change their forces, (c, m, 2) each.
+
+        What is lost of the entries is carried over by the inverse, component by component (R. D. Skeel, 1979).
+
+        Parameters
+        ----------
+        matrices, right, status, y : systems, right-hand sides, combinations and solutions
+        alone : (c,) which systems have one solution; that of others is without bound
+        """
+        m = len(self.mu)
+        closed = np.stack([status != OPEN, status == STICK], axis=2).reshape(len(status), 2 * m)
+        lost = self._lost * (np.einsum("cij,cj->ci", abs(matrices), abs(y)) + abs(right))
+        lost[:, : 2 * m] += closed * (self._lost * self._given.ravel() + self.nothing)
+        lost[:, 2 * m :] += self.nothing
+        force = np.full_like(y, np.inf)
+        force[alone] = np.einsum("cij,cj->ci", abs(np.linalg.pinv(matrices[alone], rcond=0.0)), lost[alone])
+        moved = (SAFE * force + self._lost * abs(y)) @ abs(self._slope).T
+        moved = moved.reshape(len(y), m, 2) + SAFE * (self._lost * self._given + self.nothing)
+        return moved, SAFE * force[:, : 2 * m].reshape(len(y), m, 2)
+
+    def holds(self, status: NDArray[np.int8], y: Array, length: Array, pushed: Array) -> Mask:
+        """Return which solutions (c, q) have the signs of their combination.
+
+        Parameters
+        ----------
+        status, y : combinations (c, m) and their solutions
+        length, pushed : (c, m, 2) by which gaps and slips, and forces, may fail
+        """
+        m = len(self.mu)
+        force = y[:, : 2 * m].reshape(len(y), m, 2)
+        room = self._room - (y @ self._slope.T).reshape(force.shape)
+        gap, slip = room[:, :, 0], -room[:, :, 1]
+        opened, stuck = status == OPEN, status == STICK
+        right = np.where(opened, gap >= -length[:, :, 0], force[:, :, 0] >= -pushed[:, :, 0])
+        bound = self.mu * (force[:, :, 0] + pushed[:, :, 0]) + pushed[:, :, 1]
+        right &= np.where(stuck, abs(force[:, :, 1]) <= bound, True)
+        right &= np.where(opened | stuck | (self.mu == 0), True, status * slip >= -length[:, :, 1])
+        return np.asarray(np.all(right, axis=1))
+
+    def _allowed(self, y: Array) -> tuple[Array, Array]:
+        """Return how far lengths and forces of solutions (c, q) may miss their signs by rounding, (c, m, 2) each."""
+        meeting = self._given + self.nothing / self.doubtful + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
+        largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
+        compliance = np.broadcast_to(self._compliance, meeting.shape)
+        felt = compliance > SINGULAR_SYSTEM * compliance.max(initial=0.0)
+        asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
+        return self.doubtful * meeting, self.doubtful * asked + ROUNDING * largest
+
+    def _by_state(self, status: NDArray[np.int8]) -> Iterator[Indices]:
+        """Yield the open, the closed and the sticking contacts, and those that slide against friction."""
+        for mask in (status == OPEN, status != OPEN, status == STICK, (abs(status) == 1) & (self.mu > 0)):
+            yield np.flatnonzero(mask)
+
+    def sizes(self, status: NDArray[np.int8], y: Vector) -> Vector:
+        """Return by how much every row of `signs` may fail in a solution (q,)."""
+        length, pushed = (part[0] for part in self._allowed(y[None]))
+        opened, closed, stuck, sliding = self._by_state(status)
+        bound = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
+        return np.concatenate([length[opened, 0], pushed[closed, 0], bound, bound, length[sliding, 1]])
+
+    def signs(self, status: NDArray[np.int8]) -> tuple[Vector, Array]:
+        """Return room and its slope in y: the signs hold where room + slope y >= 0."""
+        m, unit = len(self.mu), np.eye(self._slope.shape[1])
+        opened, closed, stuck, sliding = self._by_state(status)
+        sign, bound = status[sliding].astype(float), self.mu[stuck, None] * unit[2 * stuck]
+        none = np.zeros(len(closed) + 2 * len(stuck))
+        room = np.concatenate([self._room[opened, 0], none, -sign * self._room[sliding, 1]])
+        friction, slip = unit[2 * stuck + 1], sign[:, None] * self._slope[2 * sliding + 1]
+        rows = [-self._slope[2 * opened], unit[2 * closed], bound - friction, bound + friction, slip]
+        return room, np.vstack(rows) if m else np.zeros((0, len(unit)))
+
+    def apart(self, one: _Found, other: _Found) -> bool | None:
+        """Return whether forces and joints of two answers move any contact differently; None where that is in doubt."""
+        sizes, change = abs(self._felt) @ np.maximum(abs(one.y), abs(other.y)), abs(self._felt @ (one.y - other.y))
+        given = self._given.ravel()[self._acting_rows]
+        if one.off is None or other.off is None:
+            same, far = SAME * sizes + 10 * (self.doubtful * given + self.nothing), PROGRAMMED * (sizes + given)
+        else:
+            far = (one.off + other.off).ravel()[self._acting_rows]
+            same = np.minimum(far, SAME * (sizes + given) + 10 * self.nothing)
+        if np.any(change > np.maximum(far, same)):
+            return True
+        return False if np.all(change <= same) else None
+
+    def moving(self, free: Array) -> Array:
+        """Return how free directions (k, q) move the contacts: rows (r, k) that are not zero."""
+        change = self._felt @ free.T
+        return np.asarray(change[np.any(abs(change) > np.sqrt(SINGULAR_SYSTEM), axis=1)])
+
+
+class _Signs:
+    """The signs of one combination along the solutions start + free'c of a system that leaves something free."""
+
+    def __init__(self, system: _Systems, status: NDArray[np.int8], start: Vector, free: Array) -> None:
+        self._start, self._free, self._moving, self._doubtful = start, free, system.moving(free), system.doubtful
+        room, change = system.signs(status)
+        self._left, self._slope, self._allowed = room + change @ start, change @ free.T, system.sizes(status, start)
+        self._idle = np.all(abs(self._slope) <= np.sqrt(SINGULAR_SYSTEM), axis=1)
+
+    @property
+    def may_hold(self) -> bool:
+        """Return whether all signs that no c changes hold."""
+        return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
+
+    def extremes(self) -> list[Vector] | None:
+        """Return the solutions whose signs hold that move the contacts furthest apart; none where no signs hold.
+
+        None where the signs cannot be put in doubles.
+        """
+        from scipy.optimize import linprog
+
+        size = self._allowed / self._doubtful
+        nonzero = size[~self._idle & (size > 0)]
+        step = float(np.median(nonzero)) if len(nonzero) else 1.0
+        size = np.where(size > 0, size, step)
+        moving = self._moving
+        wanted = np.vstack([moving, -moving]) if len(moving) else np.zeros((1, len(self._free)))
+        slope, room = -self._slope * (step / size)[:, None], self._left / size + self._doubtful
+        if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(room)) and np.all(np.isfinite(moving))):
+            return None
+        found = []
+        for row in wanted:
+            answer = linprog(
+                -row,
+                A_ub=slope,
+                b_ub=room,
+                bounds=[(-1e3, 1e3)] * len(self._free),  # beyond a thousand times its size a family is a family
+                method="highs",
+            )
+            if answer.x is None:
+                return []
+            found.append(self._start + step * self._free.T @ answer.x)
+        return found

@@ -1,0 +1,144 @@
+"""What certificates say of other answers with friction, where contacts hold bodies, and ties hold contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL
+
+
+def test_both_answers_of_bodies_that_contacts_alone_hold_are_told_apart() -> None:
+    """Without contacts the loads would move the bodies by 1e5; the answers, open and slipping, are 1e-3 apart."""
+    problem = cq.ContactProblem(
+        stiffness=[[2.0, 2.0], [2.0, 2.0]],
+        load=[10251.495166015626, -71668.49692382812],
+        normal=[[-1.0, 2.0], [2.0, -1.5]],
+        gap=[9.25, -6.0],
+        tangent=[[-2.0, -1.0], [1.5, 2.0]],
+        friction=[0.6, 1.0],
+        slip_origin=[[-7.0], [11.25]],
+    )
+    exact = cq.exact_equilibria(problem)
+    assert {one.contact_status for one in exact} == {("open", "slip"), ("slip", "slip")}
+    for answer in (cq.solve(problem), *cq.equilibria(problem)):
+        assert answer.certificate.uniqueness == (SEVERAL,)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("stiffness", [[[1.0, 0.5], [0.5, 0.25]], [[1.0, 0.0], [0.0, 1.0]], [[2.0, 1.0], [1.0, 3.0]]])
+def test_a_contact_that_a_tie_holds_shut_wedges_with_any_force(stiffness: list[list[float]], sign: float) -> None:
+    """u0 = -u1 = v: (K00 - 2 K01 + K11) v = 8 - 2 l_N, and every l_N from 0 to 4 is balanced."""
+    tied = cq.ContactProblem(
+        stiffness,
+        [4.0, -4.0],
+        [[sign, sign]],
+        [0.0],
+        [[-1.0, 1.0]],
+        friction=1.0,
+        tie=[[1.0, 1.0]],
+        tie_value=[0.0],
+    )
+    K = np.array(stiffness)
+    for force in (0.0, 1.0, 4.0):
+        v = (8 - 2 * force) / (K[0, 0] - 2 * K[0, 1] + K[1, 1])
+        held = 4.0 - force - (K[0, 0] - K[0, 1]) * v - sign * force
+        judged = cq.certify(tied, [v, -v], [force], [-force], tie_force=[held])
+        assert judged.passed
+        assert judged.uniqueness[-1] == SEVERAL
+        assert judged.scope is None, "others are as near as one likes"
+    assert not cq.critical_friction(tied).unique
+    assert cq.solve(tied).certificate.uniqueness == (SEVERAL,)
+
+
+def test_a_contact_that_ties_keep_open_is_no_other_answer() -> None:
+    spring, none = np.array([[64.0, -64.0], [-64.0, 64.0]]), np.zeros((2, 2))
+    problem = cq.ContactProblem(
+        np.block([[spring, none], [none, np.diag([1.0, 64.0])]]),
+        [-8.0, 8.0, 6.0, -8.0],
+        [[-0.5, 0.0, 0.5, 0.0]],
+        [0.125],
+        [[0.0, -0.5, 0.0, 0.5]],
+        friction=1.0,
+        tie=[[1.0, 0.0, -1.0, 0.0]],
+        tie_value=[0.0],
+    )
+    assert len(cq.exact_equilibria(problem)) == 1
+    assert cq.solve(problem).certificate.uniqueness == ()
+
+
+def test_what_rounding_alone_would_make_another_answer_is_not_said_to_exist() -> None:
+    """Friction at its critical coefficient, exactly or to 1e-9: the one answer is nearly the end of a family."""
+    grazing = cq.ContactProblem(
+        [[1.0, 1.0], [1.0, 1025.0]],
+        [13 / 64, 256.25 - 3 / 64],
+        [[0.0, 1.0]],
+        [0.25],
+        [[-1.0, 0.0]],
+        friction=1.0,
+        slip_origin=[[3 / 64]],
+    )
+    spring, none = np.array([[6.0, -2.0], [-2.0, 8.0]]), np.zeros((2, 2))
+    pads = cq.ContactProblem(
+        np.block([[spring, none], [none, spring]]),
+        [30.09375, -10.375, 0.060546875, -0.2421875000078125],
+        [[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]],
+        [-4.0, 0.0],
+        [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+        friction=[4.004, 3.999999996],
+        slip_origin=[[0.0], [-0.90625]],
+    )
+    for problem in (grazing, pads):
+        assert len(cq.exact_equilibria(problem)) == 1
+        assert cq.solve(problem).certificate.uniqueness == (POSSIBLE,)
+
+
+def test_forces_that_a_contact_without_force_could_take_are_others() -> None:
+    """l_N (0, 1), l_T (0, -3) and l_N (7, 0), l_T (-1, 0) hold the same displacement."""
+    problem = cq.ContactProblem(
+        [[40.0, 48.0], [48.0, 64.0]],
+        [-519.0, -649.0],
+        [[0.0, 1.0], [-2.0, 1.0]],
+        [-5.0, 9.0],
+        [[-1.0, 0.0], [-1.0, -2.0]],
+        friction=[0.5, 3.0],
+        slip_origin=[[7.0], [18.0]],
+    )
+    for normal, friction in (([0.0, 1.0], [0.0, -3.0]), ([7.0, 0.0], [-1.0, 0.0])):
+        judged = cq.certify(problem, [-7.0, -5.0], normal, friction)
+        assert judged.passed
+        assert judged.uniqueness == (FORCES,)
+
+
+@pytest.mark.parametrize("apart", [1.0, -1.0])
+def test_redundant_contacts_without_load_share_forces_where_they_press_against_each_other(apart: float) -> None:
+    """Two contacts touch a mass that nothing presses: from both sides they may wedge it, from one side they may not."""
+    mass = cq.ContactProblem(np.eye(2), [0.0, 0.0], [[1.0, 0.0], [-apart, 0.0]], [0.0, 0.0], [[0.0, 1.0]] * 2, 0.5)
+    judged = cq.certify(mass, [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    assert judged.passed
+    assert (FORCES in judged.uniqueness) == (apart > 0)
+
+
+def test_no_radius_is_claimed_where_ties_hold_a_contact_shut_that_may_press_with_any_force() -> None:
+    """Contact 1 is held by the tie; another equilibrium, with l_N = 0.73 there, is 0.144 away in the energy norm."""
+    K = np.array([[33.5, -34.0], [-34.0, 35.0]])
+    tied = cq.ContactProblem(
+        K,
+        [-3.0, 5.0],
+        [[-1.0, 0.0], [1.0, -2.0]],
+        [0.0, 0.0],
+        [[0.0, -1.0], [2.0, 1.0]],
+        friction=[2.0, 0.5],
+        slip_origin=[[-0.125], [0.125]],
+        tie=[[-1.0, 2.0]],
+        tie_value=[0.0],
+    )
+    u = np.array([0.05, 0.025])
+    assert cq.certify(tied, u, [0.0, 0.73], [0.0, -0.365], tie_force=[3.825]).passed
+    judged = cq.certify(tied, cq.solve(tied))
+    assert judged.passed
+    assert judged.radius is None
+    assert any("may press with any force" in reason for reason in judged.reasons)
+    open_there = tied.replace(gap=[0.0, 1.0])
+    assert cq.certify(open_there, cq.solve(open_there)).scope is not None
