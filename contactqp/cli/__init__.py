@@ -107,9 +107,40 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.unraisablehook = _insist
     speakers.forget("--json" in (sys.argv[1:] if arguments is None else arguments))
     _keep_for_good(arguments)
-    code = speakers.settle(_ended(arguments))
+    printed, sys.stdout = sys.stdout, _WhileRead(sys.stdout)
+    try:
+        code = speakers.settle(_ended(arguments))
+        sys.stdout.flush()
+    finally:
+        sys.stdout = printed
     _keep_for_good(arguments)
     sys.exit(code)
+
+
+class _WhileRead:
+    """A standard output whose reader may leave, as in `contactqp check ... | head`: the verdict is the same."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return int(self._stream.write(text))
+        except BrokenPipeError:
+            self._go_on_unread()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._go_on_unread()
+
+    def _go_on_unread(self) -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 def _keep_for_good(arguments: Sequence[str] | None) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -20,6 +21,20 @@ def test_a_reader_that_leaves_early_is_no_error():
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert done.stdout.count("\n") == 1
     assert done.stderr == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "code"), [(142.5, 0), (1.0, 1)])
+def test_the_verdict_is_the_same_where_nobody_reads_it(tmp_path, force, code):
+    candidate = tmp_path / "candidate.json"
+    candidate.write_text(json.dumps({"displacement": [1e-3], "normal_force": [force]}))
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "contactqp", "check", WALL, candidate], stdout=write, stderr=subprocess.PIPE, check=False
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (code, b"")
 
 
 def piped(monkeypatch, content):
