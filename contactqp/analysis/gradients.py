@@ -12,6 +12,7 @@ refinement, and every number carries what it may be off by (`Estimate`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
+
+# Entries of a pattern that are filled at a time: what they are made of stays in a processor's cache.
+AT_ONCE = 2**14
 
 
 class Bounded(tuple[Any, Any]):
@@ -382,9 +386,12 @@ def on_entries(rows: Any, pairs: tuple[tuple[Estimate, Estimate], ...]) -> Estim
 def _products(rows: Any, pairs: list[tuple[Vector, Vector]]) -> Any:
     if rows is None:
         return np.sum([np.outer(left, right) for left, right in pairs], axis=0)
-    counts, entries = np.diff(rows.indptr), None
-    for left, right in pairs:
-        own = right.take(rows.indices)
-        own *= np.repeat(left, counts)
-        entries = own if entries is None else np.add(entries, own, out=entries)
+    ends, counts, entries = rows.indptr, np.diff(rows.indptr), np.zeros(len(rows.indices))
+    cuts = np.unique(np.searchsorted(ends, np.arange(0, ends[-1] + AT_ONCE, AT_ONCE)).clip(0, len(counts)))
+    for first, last in pairwise(cuts):
+        part = slice(ends[first], ends[last])
+        for left, right in pairs:
+            own = right.take(rows.indices[part])
+            own *= np.repeat(left[first:last], counts[first:last])
+            entries[part] += own
     return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)

@@ -176,3 +176,14 @@ def test_a_system_whose_refinement_leads_nowhere_has_no_gradient(monkeypatch: py
     assert Linearised(solution).system is not None
     with pytest.raises(cq.InvalidProblem, match="the gradient of displacement by load does not exist: the linear syst"):
         solution.pullback("displacement", np.ones(solution.problem.dimension), "load")
+
+
+@pytest.mark.parametrize("at_once", [1, 3, 2**14])
+def test_products_on_a_pattern_are_those_of_all_entries(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many entries are filled at a time, rows without any among them."""
+    monkeypatch.setattr(gradients, "AT_ONCE", at_once)
+    rng = np.random.default_rng(1)
+    rows = sp.csr_array(np.array([[1.0, 0, 2, 0], [0, 0, 0, 0], [3, 4, 5, 6], [0, 7, 0, 0], [0, 0, 0, 0]]))
+    (a, c), (b, d) = rng.standard_normal((2, 5)), rng.standard_normal((2, 4))
+    found = gradients._products(rows, [(a, b), (c, d)])
+    assert np.array_equal(found.toarray(), (np.outer(a, b) + np.outer(c, d)) * (rows.toarray() != 0))
