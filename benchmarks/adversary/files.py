@@ -12,6 +12,10 @@ import warnings
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
+import scipy.io
+import scipy.sparse as sp
+
 import contactqp as cq
 from benchmarks.adversary.judging import Judge
 from benchmarks.bricks import Generator
@@ -33,6 +37,9 @@ SIZES = (b"0", b"-1", b"5e-324", b"1e-308", b"1e-200", b"1e-30", b"1e30", b"1e20
 FILES, OWN_PROCESS = 20, 4
 IN_OWN_PROCESS = ("quadratic-program.mat", "quadratic-program.qps")
 SLOW_TRIALS = 0.02
+# Formats of quadratic programs that are run and checked as they come.
+PROGRAMS = ("mat", "npz", "qps")
+ENTRIES = (np.nan, np.inf, -1e20, 1e20, 1e308, 5e-324, 1e-200, -1.0)
 # What commands end with: done, not certified, refused, something is missing.
 EXITS = (0, 1, 2, 3)
 REFUSED_BY = (2, 3)
@@ -103,10 +110,24 @@ class Files:
             (loads, ["run", str(CASES / "two_bars.toml"), "--loads", str(loads)]),
             (exported, ["export", str(exported), "--inp", str(self.folder / "deck")]),
         ]
+        for suffix in PROGRAMS:
+            asked += self._of_program(suffix)
         for name in ("plane", "space", "assembled"):
             files = [decks / f"{name}.inp", decks / f"{name}.dat"]
             asked += [(file, ["crosscheck", *map(str, files)]) for file in files]
         return asked
+
+    def _of_program(self, suffix: str) -> list[tuple[Path, list[str]]]:
+        """Return a quadratic program of one format, solved and beside its answer, and the answer."""
+        folder = self.folder / f"program-{suffix}"
+        folder.mkdir()
+        file, answer = folder / f"program.{suffix}", folder / "answer.json"
+        file.write_bytes((self.folder / f"quadratic-program.{suffix}" / file.name).read_bytes())
+        stated = cq.read_problem(file)
+        cq.write_problem(folder / "solved", stated, cq.solve(stated))
+        answer.write_bytes((folder / "solved" / "answer.json").read_bytes())
+        check = ["check", str(file), str(answer)]
+        return [(file, ["run", str(file)]), (file, check), (answer, check)]
 
     def judge(self, judge: Judge, rng: Generator) -> None:
         """Mutate the files of one format, one case file or one answer, and ask about each."""
@@ -157,7 +178,7 @@ class Files:
         file, command = self.asked[int(rng.integers(0, len(self.asked)))]
         original = file.read_bytes()
         for _ in range(FILES):
-            changed, what = mutate(original, rng)
+            changed, what = _mutated(file, original, rng)
             file.write_bytes(changed)
             as_json = ["--json"] * int(command[0] != "export" and rng.random() < 0.4)
             _judge_command(judge, [*command, *as_json], what, b"")
@@ -180,6 +201,41 @@ def _of_any_size(original: bytes, rng: Generator) -> tuple[bytes, str]:
         original = original[: found[at].start()] + size + original[found[at].end() :]
         what.append(f"number {at} is {size[:9].decode()}")
     return original, ", ".join(what)
+
+
+def _mutated(file: Path, original: bytes, rng: Generator) -> tuple[bytes, str]:
+    """A file with its bytes mutated, or, of a quadratic program as often, with other numbers or arrays."""
+    if file.suffix not in (".mat", ".npz", ".qps") or rng.random() < 0.5:
+        return mutate(original, rng)
+    return _of_any_size(original, rng) if file.suffix == ".qps" else _of_other_arrays(file.suffix, original, rng)
+
+
+def _of_other_arrays(suffix: str, original: bytes, rng: Generator) -> tuple[bytes, str]:
+    """An archive of arrays in which one is left out, of another shape or kind, or holds a number of any size."""
+    stored, out = io.BytesIO(original), io.BytesIO()
+    if suffix == ".npz":
+        with np.load(stored) as archive:
+            arrays = dict(archive)
+    else:
+        read = scipy.io.loadmat(stored)
+        arrays = {name: value for name, value in read.items() if not name.startswith("__")}
+    name = str(rng.choice(sorted(arrays)))
+    changes = ("left out", "number", "transposed", "empty", "complex", "words", "a cube", "whole", "twice", "one")
+    what = str(rng.choice(changes))
+    value = arrays.pop(name)
+    dense = np.array(value.toarray() if sp.issparse(value) else value)
+    if what == "number":
+        dense = dense.astype(float)
+        dense.flat[int(rng.integers(0, dense.size))] = rng.choice(ENTRIES)
+    changed = {
+        "left out": None, "number": dense, "transposed": dense.T, "empty": dense[:0], "complex": dense.astype(complex),
+        "words": dense.astype(str), "a cube": dense[None, None], "whole": (dense > 0).astype(np.int8),
+        "twice": np.concatenate([dense, dense]) if dense.ndim else dense, "one": dense.ravel()[:1],
+    }[what]  # fmt: skip
+    if changed is not None:
+        arrays[name] = sp.csc_array(changed) if sp.issparse(value) and what in ("number", "transposed") else changed
+    np.savez(out, **arrays) if suffix == ".npz" else scipy.io.savemat(out, arrays)
+    return out.getvalue(), f"{name}: {what}"
 
 
 def _filled(part: str, places: dict[str, str]) -> str:

@@ -103,7 +103,15 @@ SIZES = ("one", "one", "one", "rows", "unknowns", "energy", "all", "extreme", "e
 def draw(rng: Generator, law: str) -> Sentence:
     """A sentence of one law: "frictionless", "plane" or "space"."""
     names = [str(rng.choice(list(BODIES))) for _ in range(int(rng.choice([1, 1, 2])))]
-    held = str(rng.choice(HELD))
+    return _sentence(rng, law, names, str(rng.choice(HELD)))
+
+
+def floating(rng: Generator) -> Sentence:
+    """A lattice without friction that contacts alone hold: where it may move, units decide what its least motion is."""
+    return _sentence(rng, "frictionless", ["lattice"], "contact")
+
+
+def _sentence(rng: Generator, law: str, names: list[str], held: str) -> Sentence:
     K = blocks(*(BODIES[name](rng) for name in names))
     if law != "frictionless":
         K = _wide_enough(rng, K, 2 if law == "plane" else 3)

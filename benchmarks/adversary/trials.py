@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 
 import contactqp as cq
 from benchmarks.adversary.files import Files
-from benchmarks.adversary.grammar import Sentence, draw
-from benchmarks.adversary.judging import Finding, Judge, judge_frictionless
+from benchmarks.adversary.grammar import Sentence, draw, floating
+from benchmarks.adversary.judging import Finding, Judge, judge_frictionless, judge_units
 from benchmarks.adversary.judging_friction import judge_friction
 from benchmarks.adversary.large import judge_large
 from benchmarks.adversary.shrinking import shrunk
@@ -60,7 +60,23 @@ def trial(seed: int, number: int, kinds: tuple[str, ...] = tuple(KINDS)) -> Tria
     sentence, ask = _question(rng, kind)
     judge = Judge(sentence.posed, number)
     ask(judge)
+    if kind == "frictionless":
+        aside, ask_aside = _aside(seed, number)
+        beside = Judge(aside.posed, number)
+        ask_aside(beside)
+        judge.judgements += beside.judgements
+        judge.findings += [replace(one, what=f"{ASIDE}{one.what}") for one in beside.findings]
     return Trial(kind, sentence.words, judge.judgements, judge.exact, tuple(judge.findings))
+
+
+# Beside every problem without friction one that floats is solved in other units, drawn by numbers of its own, so that
+# trials stay what they were: few of the others show where units decide.
+ASIDE = "floating: "
+
+
+def _aside(seed: int, number: int) -> tuple[Sentence, Callable[[Judge], None]]:
+    sentence = floating(np.random.default_rng([seed, number, 2]))
+    return sentence, lambda judge: judge_units(judge, judge.ask("solve plain", lambda: cq.solve(judge.posed.plain)))
 
 
 def _begin(seed: int, number: int, kinds: tuple[str, ...]) -> tuple[Generator, str]:
@@ -109,12 +125,13 @@ def write_smallest(seed: int, number: int, kinds: tuple[str, ...], finding: Find
         target.mkdir(parents=True, exist_ok=True)
         (target / "finding.txt").write_text(f"{finding.what}: {finding.text}\n{kind}\n{command}\n")
         return target
-    sentence, ask = _question(rng, kind)
+    sentence, ask = _aside(seed, number) if finding.what.startswith(ASIDE) else _question(rng, kind)
+    what = finding.what.removeprefix(ASIDE)
 
     def still(posed: Posed) -> bool:
         judge = Judge(posed, number)
         ask(judge)
-        return any(one.kind == finding.kind and one.what == finding.what for one in judge.findings)
+        return any(one.kind == finding.kind and one.what == what for one in judge.findings)
 
     def safely(posed: Posed) -> bool:
         try:
