@@ -25,8 +25,8 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import FINE_EPS, Extended, SparseRows, extend, extended_rows, residuals
-from contactqp.linalg.floating import UNRESISTED, that_move
-from contactqp.linalg.least_norm import WITHIN_ROUNDING
+from contactqp.linalg.floating import UNRESISTED, independent_rows, that_move
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, least_closing
 from contactqp.linalg.measures import (
     forces_that_meet,
     intrinsic_size,
@@ -36,6 +36,7 @@ from contactqp.linalg.measures import (
 )
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set, nonnegative_least_squares
 from contactqp.linalg.refinement import OnSet
+from contactqp.linalg.sparse_saddle import MET_TOGETHER
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -71,17 +72,6 @@ def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
     if np.isnan(residual):
         return None
     return np.asarray(share[: len(rows)] / size)
-
-
-def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
-    """Return the least w (p,) that meets rows w = -excess, ties w = 0 in the sense of least squares.
-
-    Rows that are dependent to rounding count as dependent.
-    """
-    every = np.vstack([rows, ties])
-    size = np.linalg.norm(every, axis=1)
-    wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
-    return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=WITHIN_ROUNDING)[0])
 
 
 # A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
@@ -151,6 +141,28 @@ def refuse_unbalanced(
             f"the load drives a rigid motion by {missed[worst] / size[worst]:.1e} of the forces that meet: that counts "
             "as nothing, and so do contact forces that might carry it"
         )
+
+
+def refuse_conflicting_ties(
+    problem: ContactProblem, answer: Answer, condensation: Condensation, change: Extended
+) -> None:
+    """Raise Undecided where the answer, changed to meet independent ties, misses one that depends on these.
+
+    It contradicts them by rounding and is set aside: what the bounds are about has another value there.
+
+    Parameters
+    ----------
+    problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
+    change : (n,) Extended, what is added to the displacement
+    """
+    rows, refined = condensation.tie * condensation.scale, extend(answer.displacement) + change
+    others = np.delete(np.arange(problem.ties), independent_rows(rows / np.linalg.norm(rows, axis=1, keepdims=True)))
+    missed = abs((extend(problem.tie_value) - extended_rows(problem).tie @ refined).double())[others]
+    whole = of_rows(problem, problem.tie, intrinsic_size(problem, answer, refined.double()))
+    length = np.maximum(lengths_that_meet(problem, problem.tie, problem.tie_value, refined.double()), whole)[others]
+    part = float(np.max(missed / np.where(length > 0, length, 1.0), initial=0.0))
+    if part > MET_TOGETHER:
+        raise Undecided(f"ties that depend on each other to rounding conflict by {part:.1e} of their lengths")
 
 
 def believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[Indices, ...]:
@@ -322,6 +334,7 @@ def from_repair(problem: ContactProblem, answer: Answer, condensation: Condensat
     held = np.zeros(problem.contacts, dtype=bool)
     held[saddle.closed] = True
     if saddle.redundant:  # what depends on others may stay apart
+        refuse_conflicting_ties(problem, answer, condensation, to_feasible)
         dependent = np.delete(saddle.closed, saddle.independent[saddle.independent < len(saddle.closed)])
         length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
         held[dependent] = gap[dependent] <= ZERO_GAP * length[dependent]

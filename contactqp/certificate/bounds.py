@@ -56,6 +56,7 @@ from contactqp.certificate.admissible_pair import (
     of_noise,
     of_penetration,
     out_of_balance,
+    refuse_conflicting_ties,
     refuse_unbalanced,
     searched_set,
     without_tension,
@@ -262,6 +263,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
     if problem.ties:  # of the forces of rows that depend on each other
+        refuse_conflicting_ties(problem, answer, condensation, on_set.displacement - extend(answer.displacement))
         force, tie_force = nearest_to(answer, condensation, on_set, allowance)
         shared = force_norm(problem, condensation, force - on_set.normal_force)[0]
     if (force.hi < 0).any():
@@ -430,9 +432,8 @@ def _force_bound(
     if condensation.rigid.count:
         bound += out_of_balance(problem, answer, condensation, pair, active)
     if count:
-        unit = np.eye(count)
         nothing = np.zeros((len(condensation.retained), count))
-        motion, reaction, _ = saddle.solve(nothing, unit, np.zeros((problem.ties, count)))
+        motion, reaction, _ = saddle.solve(nothing, np.eye(count), np.zeros((problem.ties, count)))
         stiffness = np.sqrt(np.maximum(-reaction.diagonal(), 0.0))
         bound[active] += stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
     return bound, None

@@ -328,3 +328,14 @@ def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effo
     effort.back_substitutions += 1
     change[contact] = 1.0
     return change
+
+
+def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
+    """Return the least w (p,) that meets rows w = -excess, ties w = 0 in the sense of least squares.
+
+    Rows that are dependent to rounding count as dependent.
+    """
+    every = np.vstack([rows, ties])
+    size = np.linalg.norm(every, axis=1)
+    wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
+    return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=WITHIN_ROUNDING)[0])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.admissible_pair import least_closing, least_forces, least_retreat
+from contactqp.certificate.admissible_pair import least_forces, least_retreat
+from contactqp.linalg.least_norm import least_closing
 from contactqp.model.solution import Solution
 
 

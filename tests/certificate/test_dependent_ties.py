@@ -182,3 +182,19 @@ def test_ties_with_an_unknown_of_their_own_take_part_in_no_dependence(seed: int)
     problem = cq.ContactProblem(sp.identity(n), np.ones(n), np.eye(1, n), [9.0], tie=rows, tie_value=np.zeros(n))
     ((one, others),) = dependent_sparse_ties(problem)
     assert sorted([one, *others.tolist()]) == on_ring
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-14, 5e-14])
+def test_nothing_is_proven_of_ties_that_contradict_each_other_by_rounding(excess: float) -> None:
+    """x + y = 4 and 2 x + 2 y = 8 + d have no solution but for d = 0; up to rounding they are met and pass."""
+    problem = cq.ContactProblem(
+        [[2.0, 1.0], [1.0, 3.0]], [9.0, 1.0], [[1.0, 1.0]], [9.0], tie=[[1.0, 1.0], [2.0, 2.0]],
+        tie_value=[4.0, 8.0 + excess],
+    )  # fmt: skip
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert certificate.proven == (excess == 0)
+    assert any("depends on" in note for note in certificate.notes)
+    assert any("ties that depend on each other to rounding conflict" in reason for reason in certificate.reasons) == (
+        excess > 0
+    )
