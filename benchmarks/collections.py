@@ -93,6 +93,7 @@ def solved(path: str, method: str, seed: int | None = None, processor: bool = Fa
 def as_it_is(path: str, backend: str, processor: bool = False) -> dict[str, Any]:
     """A backend's own answer to the same arrays, and whether it passes."""
     from qpsolvers import Problem, solve_problem
+    from qpsolvers.exceptions import QPError
 
     problem, clock = cq.read_problem(path), time.process_time if processor else time.perf_counter
     program = problem.to_qp()
@@ -102,7 +103,7 @@ def as_it_is(path: str, backend: str, processor: bool = False) -> dict[str, Any]
     started = clock()
     try:
         answer = solve_problem(Problem(**arrays), backend, **options)
-    except (ValueError, TypeError, RuntimeError, ArithmeticError, cq.ContactQPError) as error:
+    except (QPError, ValueError, TypeError, RuntimeError, ArithmeticError, cq.ContactQPError) as error:
         return dict(verdict=type(error).__name__, seconds=clock() - started)
     seconds = clock() - started
     energy = problem.energy(answer.x) if answer.found else None
