@@ -126,6 +126,7 @@ BACKENDS = (
         tolerances=("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
         tightest=1e-10,
         iteration_limit="qp_iteration_limit",
+        default_limit=20_000,  # without one it goes on for ever where stiffnesses lie decades apart
         time_limit="time_limit",
         # Added to the stiffness. Its default of 1e-7 spoils forces and calls unbounded problems solved; without any it
         # gives up on floating bodies.
@@ -247,7 +248,9 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
             # Backends raise what they like: ValueError, RuntimeError, their own types, and Rust's panics, which are
             # no Exception. Nothing but the backend runs here, and the cause is kept.
             raise BackendFailed(f"{backend.name}: {type(error).__name__}: {error}") from error
-    found = "solved" if solution.found else "not solved"
+    limit = options.get(backend.iteration_limit)
+    within = "" if limit is None else f" within {limit} iterations: max_iter allows more"
+    found = "solved" if solution.found else f"not solved{within}"
     status = "; ".join([f"{backend.name}: {_said(solution.extras, backend.status) or found}", *words])
     if bounds is not None and solution.z_box is not None:
         solution.z = bounds.forces(problem, solution)

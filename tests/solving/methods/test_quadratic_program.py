@@ -177,6 +177,20 @@ def test_a_time_limit_is_kept(name: str) -> None:
     assert not candidate.claimed, candidate.status
 
 
+def test_highs_ends_by_itself_and_says_by_which_limit() -> None:
+    """Where springs lie twelve decades apart its active set came back to the same sets for ever."""
+    pytest.importorskip("highspy")
+    options = backend_options(BACKEND["highs"], Settings())
+    assert options["qp_iteration_limit"] <= 100_000
+    assert backend_options(BACKEND["highs"], Settings(max_iter=7))["qp_iteration_limit"] == 7
+    chain = 2.0 * np.eye(40) - np.eye(40, k=1) - np.eye(40, k=-1)
+    pulled = ContactProblem(chain, np.ones(40), np.eye(40), np.linspace(0.0, 1.0, 40))
+    few = solve_quadratic_program(BACKEND["highs"], pulled, Settings(max_iter=1))
+    assert not few.claimed
+    assert "not solved within 1 iterations: max_iter allows more" in few.status
+    assert solve_quadratic_program(BACKEND["highs"], pulled, Settings()).claimed
+
+
 @every_backend
 def test_a_warm_start_is_a_hint(method: Method) -> None:
     start = Candidate(Answer(np.array([1e-3, 2e-4]), np.array([90.0]), None, np.zeros(0)))
