@@ -134,6 +134,8 @@ def _vector(path: Path, name: str, values: Any) -> Any:
 def _real(path: Path, name: str, matrix: Any) -> Any:
     if matrix.dtype.kind not in "fiu":
         raise wrong(path, name, "real numbers", matrix.dtype)
+    if matrix.ndim > 2:
+        raise wrong(path, name, "a matrix", f"an array of shape {matrix.shape}")
     return sp.csr_matrix(matrix, dtype=float) if sp.issparse(matrix) else np.asarray(matrix, dtype=float)
 
 

@@ -43,6 +43,8 @@ def test_qpbenchmarks_files_are_read_with_ranges_and_bounds(tmp_path: Path) -> N
     [
         (dict(A=None), "none called A"),
         (dict(A=sp.csc_matrix(np.ones((4, 2)))), "the identity in its last 2 rows"),
+        (dict(A=np.ones((1, 1, 4, 2))), r"A: expected a matrix, got an array of shape \(1, 1, 4, 2\)"),
+        (dict(P=np.ones((1, 2, 2))), r"P: expected a matrix, got an array of shape \(1, 2, 2\)"),
         (dict(q=np.array([1.0, np.nan])), "q"),
         (dict(l=np.zeros(3)), "shapes"),
     ],
