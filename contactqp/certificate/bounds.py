@@ -227,10 +227,8 @@ def _nearest_pair(
     if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
         return _from_set(problem, answer, condensation, found)
     searched = searched_set(problem, condensation)
-    if (
-        searched is not None
-        and (found := _holding(problem, condensation, searched, CORRECTIONS, answer, residual)) is not None
-    ):
+    found = None if searched is None else _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
+    if found is not None:
         return _from_set(problem, answer, condensation, found)
     return from_repair(problem, answer, condensation, first)
 
@@ -311,9 +309,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
-    rounding = 4 * residual_noise(problem, answer) + VANISHING * energy_scale
-    size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
     moved = solution.double() if floats and pair.exact else answer.displacement  # which may be far from the solution
+    farther = replace(answer, displacement=np.maximum(abs(answer.displacement), abs(moved))) if floats else answer
+    rounding = 4 * residual_noise(problem, farther) + VANISHING * energy_scale
+    size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
     if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
         uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
         rigid = max(rigid, 2 * uncertain)  # the answer may be strained as much
@@ -335,8 +334,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
-    # Where nothing is elastic every displacement and every force has the energy norm zero.
-    nothing_elastic = not problem.diagonal.any()
+    elastic = problem.diagonal.any()  # else every displacement and every force has the energy norm zero
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
     if floats:
@@ -351,8 +349,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     return replace(
         bounds,
         energy_scale=energy_scale,
-        energy_error=0.0 if nothing_elastic else energy_error,
-        force_error=0.0 if nothing_elastic else error + of_shared / (scale or 1.0),
+        energy_error=energy_error if elastic else 0.0,
+        force_error=error + of_shared / (scale or 1.0) if elastic else 0.0,
         force_scale=scale,
         ties=ties,
         shared=of_shared / (scale or 1.0),

@@ -406,3 +406,26 @@ def test_bounds_of_forces_contain_what_a_load_leaves_out_of_balance(power: int) 
     assert exact.passed
     assert exact.force_bound is not None
     assert exact.force_bound.max() < 1e-3 * push
+
+
+def test_a_motion_that_a_tie_asks_for_without_forces_is_right() -> None:
+    """A mechanism between two contacts that touch, moved by a tie alone: all forces are zero, exactly.
+
+    What refinement left of its strain, 1e-25, was held against a tolerance of zero.
+    """
+    side, turned = np.array([-3.0, 1.0, 0.0, 0.0, 3.0, -1.0, 0.0, 0.0]), np.zeros(8)
+    turned[[1, 3]] = 4.0, -4.0
+    problem = cq.ContactProblem(
+        stiffness=np.outer(side, side) + np.outer(turned, turned),
+        load=np.zeros(8),
+        normal=[[-2.0, 0, 0, 0, 2.0, 0, 0, 0], [-3.0, 1.0, 0, 0, 0, 0, 0, 0]],
+        gap=[0.0, 0.0],
+        tie=[[0, 1.0, 0, 0, 0, 0, -2.0, 0], [0, 0, 2.0, 2.0, 0, 0, 0, 0]],
+        tie_value=[-1.0, 0.0],
+    )
+    u = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0])
+    assert cq.certify(problem, u).passed
+    assert cq.certify(problem, u, [0.0, 0.0], None, [0.0, 0.0]).passed
+    for pushed, held in (([1e-9, 0.0], [0.0, 0.0]), ([0.0, 1e-15], [0.0, 0.0]), ([0.0, 0.0], [1e-12, 0.0])):
+        assert not cq.certify(problem, u, pushed, None, held).passed
+    assert not cq.certify(problem, u + 1e-6 * np.eye(8)[1]).passed

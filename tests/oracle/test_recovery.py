@@ -283,3 +283,42 @@ def _random_frictional(seed: int, friction: float) -> cq.ContactProblem:
     load = 10 * rng.normal(size=n) + 30 * normal.sum(axis=0)
     tangent = rows[contacts : contacts * dimension]
     return cq.ContactProblem(shape @ shape.T + 0.1 * np.eye(n), load, normal, gap, tangent=tangent, friction=friction)
+
+
+NEARLY_PARALLEL = (
+    cq.ContactProblem(
+        [[19.0, -9.0], [-9.0, 10.0]],
+        [-0.6328999586534809, -40.45090016011851],
+        [[-0.009953916334641573, -0.6435537012486696], [-0.010361996041001643, -0.6440118639234462],
+         [-0.009953929255216706, -0.6435536922087101], [0.009963816126000167, 0.6435599955107253]],
+        [0.0, 1.7645976899132552e-07, -1.5024596204556614e-18, 0.001],
+    ),
+    [-3.755335379499643e-04, 5.808426421869409e-06],
+    [0.0, 0.0, 62.860859219660234, 0.0],
+)  # fmt: skip
+CLAMPED = (
+    cq.ContactProblem(
+        [[1168.0, 3328.0, -4.0, 64.0], [3328.0, 21760.0, 10.0, -2560.0], [-4.0, 10.0, 0.0908203125, -3.5],
+         [64.0, -2560.0, -3.5, 1680.0]],
+        np.zeros(4),
+        [[-0.38567482516304824, 0.3942395953109438, 0.3464074190947525, 0.17799682690759314],
+         [-0.38567504189762875, 0.3942393918470201, 0.34640754462489387, 0.17799667240426248],
+         [0.38567637295168544, -0.39423606333931926, -0.34639926556703154, -0.17799143418933977]],
+        [0.0, -7.804435598589086e-19, -0.001],
+    ),
+    [-87.63443499078596, 17.72631292681642, -131.85559586414033, 27.466483046231517],
+    [3.821944761511320e09, 0.0, 3.822035933833875e09],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("problem", "u", "force"), [NEARLY_PARALLEL, CLAMPED])
+def test_nearly_dependent_rows_do_not_share_what_rounding_leaves_of_a_displacement(
+    problem: cq.ContactProblem, u: list[float], force: list[float]
+) -> None:
+    """The numbers are those of the solution in rational numbers, rounded; its forces fit the displacement too."""
+    judged = cq.certify(problem, u)
+    assert judged.passed
+    np.testing.assert_allclose(judged.answer.normal_force, force, rtol=1e-6)
+    assert any("those of the solution" in note for note in judged.notes)
+    assert not cq.certify(problem, np.array(u) * (1 + 1e-4)).passed
+    assert not cq.certify(problem, np.array(u) * np.append(np.ones(len(u) - 1), 1 + 1e-4)).passed

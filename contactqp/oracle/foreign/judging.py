@@ -141,7 +141,28 @@ def certify_given(
             return found, tried
         first = first or (found, tried)
     assert first is not None  # there is always a plain way
-    return first
+    if (completed := _with_forces_of_solution(problem, given)) is None:
+        return first
+    found = certificate_of(problem, completed.answer, tolerance, error_tolerance, factorization)
+    return (found, completed) if found.passed else first
+
+
+def _with_forces_of_solution(problem: ContactProblem, given: GivenAnswer) -> Recovery | None:
+    """Complete a displacement with the forces of the solution; None with friction, of large problems, or without one.
+
+    Nearly dependent rows share what balances a displacement's rounding, and forces that are none are found as noise:
+    where the displacement is right, the solution's forces belong to it.
+    """
+    missing = missing_parts(problem, given)
+    if given.displacement is None or "normal_force" not in missing or problem.frictional or not problem.is_small:
+        return None
+    with suppress(ContactQPError):
+        right = _kept_solution(held_against(problem))
+        if right.certificate.passed:
+            forces = {name: getattr(right, name) for name in missing}
+            how = f"recovered from the displacement: {_words(missing)} (those of the solution, which it is near)"
+            return Recovery(replace(given.filled(problem), **forces), missing, (how,))
+    return None
 
 
 @dataclass(eq=False)
