@@ -354,7 +354,7 @@ def refined_by(
     unit[tied:pushed], unit[pushed:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
     x, elastic, size, last = extend(first), None, np.inf, np.inf
     slip = (exact.slip(x[:n]) - origin).double() if in_space else origin
-    directions, turning = slip_directions(rows, status, slip, pushing)
+    directions, turning = slip_directions(rows, status, slip, pushing, given)
     system, coefficients = make(directions, turning), _coefficients(problem)[:, None]
     regular = system.regular
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
@@ -382,7 +382,7 @@ def refined_by(
         unseen = UNSEEN if turning is not None and turning.any() else 0.0
         if in_space:
             slip = (exact.slip(x[:n]) - origin).double()
-            directions, turning = slip_directions(rows, status, slip, whole[tied:pushed])
+            directions, turning = slip_directions(rows, status, slip, whole[tied:pushed], directions)
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
@@ -424,8 +424,12 @@ def _settled(refined: RefinedState) -> bool:
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
-def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Vector) -> tuple[Array, Vector | None]:
+def slip_directions(
+    rows: ScaledRows, status: Status, slip: Vector, force: Vector, before: Array | None = None
+) -> tuple[Array, Vector | None]:
     """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane.
+
+    A contact that is about to slip, at its bound, has no slip to tell the direction: it is the one before.
 
     Parameters
     ----------
@@ -433,6 +437,7 @@ def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Vecto
     status : (m,) array of int, the combination
     slip : ((d-1) m,) array [length], of all contacts; in the plane it is not used
     force : (m,) array, normal forces [force]
+    before : (m, d-1) array, friction or its directions until now, if any
     """
     if rows.width == 1:
         return np.where(status == STICK, 0.0, status)[:, None].astype(float), None
@@ -441,7 +446,10 @@ def slip_directions(rows: ScaledRows, status: Status, slip: Vector, force: Vecto
     size = lengths(vectors) / rows.tangent_length
     bound = rows.coefficient * np.maximum(force, 0.0) * rows.normal_length
     turning = np.divide(bound, size, out=np.zeros_like(size), where=size > bound * LEAST_SLIP)
-    return directions_of(vectors), turning
+    if before is None:
+        return directions_of(vectors), turning
+    still = sliding & (turning == 0) & np.any(before != 0, axis=1)
+    return directions_of(np.where(still[:, None], before, vectors)), turning
 
 
 def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:

@@ -308,3 +308,14 @@ def test_combinations_are_refined_from_rest_too() -> None:
     u = np.array([4.0, -0.625, -0.25, -1.125, -0.25, 6.0])
     assert cq.certify(problem, u, [40.0, 5.0, 45.0], [-12.0, -9.0, -2.25, 3.0, 54.0, 72.0]).passed
     assert cq.solve(problem).certificate.passed
+
+
+@pytest.mark.parametrize("algorithm", [None, "newton", "nsgs", "ppa", "admm", "tresca"])
+def test_a_node_on_an_edge_is_held_at_its_bound(algorithm: str | None) -> None:
+    """Along the edge of two walls the load is all that both can hold, 0.25 (3 + 3): no slip tells the direction."""
+    walls, tangents = [[0, 1, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    node = cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), [1.5, 3.0, -3.0], walls, [0.0, 0.0], tangents, 0.25)
+    solution = cq.solve(node, algorithm=algorithm)
+    assert abs(solution.displacement).max() <= 1e-15
+    assert solution.normal_force == pytest.approx([3.0, 3.0], abs=1e-12)
+    assert solution.friction_force == pytest.approx(np.array([[0.75, 0.0], [0.75, 0.0]]), abs=1e-12)
