@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from contactqp.certificate.critical_friction import SINGULAR_SYSTEM, combinations, regular, system_matrices
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.exact_algebra import ONE, ZERO, Region, Row, dot, solutions
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK
 from contactqp.model.problem import ContactProblem
@@ -27,6 +29,8 @@ from contactqp.model.problem import ContactProblem
 MOST_COUNTED = 5
 # Each system that leaves something free takes some linear programs.
 MOST_LOOSE = 30
+# Unknowns and forces of a system up to which it is solved in rational numbers, in some ten milliseconds.
+MOST_EXACT = 24
 # Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
 DOUBTFUL = 1e-9
 # Answers that are there only by more than this part are not sure to be others: friction is near its limit.
@@ -53,7 +57,7 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     cached = problem._computed.several_answers
     if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
         several = _several_answers(problem, condensation, DOUBTFUL)
-        if several and not _several_answers(problem, condensation, SURE):
+        if several and not _is_small(problem) and not _several_answers(problem, condensation, SURE):
             several = None
         cached = problem._computed.several_answers = of, several
     found: bool | None = cached[1]
@@ -82,7 +86,7 @@ def _several_answers(problem: ContactProblem, condensation: Condensation, doubtf
     clear = held & system.holds(status, y, -off[0], -off[1])
     side = np.linalg.slogdet(matrices)[0]
     found = [_Found(y[b], off[0][b], bool(clear[b]), float(side[b])) for b in np.flatnonzero(held)]
-    loose = []
+    loose = dict[int, _Signs]()
     for b in np.flatnonzero(~alone).tolist():
         sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
         rounding = system.nothing + ROUNDING * abs(y[b]).max(initial=0.0)
@@ -90,16 +94,18 @@ def _several_answers(problem: ContactProblem, condensation: Condensation, doubtf
             continue
         signs = _Signs(system, status[b], y[b], free[b])
         if signs.may_hold:
-            loose.append(signs)
+            loose[b] = signs
     if len(loose) > MOST_LOOSE:
         return None
-    for signs in loose:
+    for signs in loose.values():
         if (extremes := signs.extremes()) is None:
             return None
-        found += [_Found(one, None, True, 0.0) for one in extremes]
-    if doubtful > SURE:
-        return any(system.apart(one, found[0]) is not False for one in found[1:])
-    return _surely_several(system, found)
+        found += [_Found(one, None, False, 0.0) for one in extremes]
+    if doubtful <= SURE:
+        return _surely_several(system, found)
+    if all(system.apart(one, found[0]) is False for one in found[1:]):
+        return False
+    return not _is_small(problem) or _exactly_several(problem, status[[*np.flatnonzero(held), *loose]]) or None
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
@@ -107,6 +113,69 @@ def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
     left, values, rotation = np.linalg.svd(matrix)
     kept = values > SINGULAR_SYSTEM * values[0]
     return rotation[kept].T @ ((left.T @ right)[kept] / values[kept]), rotation[~kept]
+
+
+def _is_small(problem: ContactProblem) -> bool:
+    return problem.dimension + 2 * problem.contacts + problem.ties <= MOST_EXACT
+
+
+def _exactly_several(problem: ContactProblem, status: NDArray[np.int8]) -> bool:
+    """Return whether some combinations (c, m) have several answers, in rational numbers.
+
+    Where friction is at its limit or its critical coefficient the last digit of a load decides.
+    """
+    found = list[Row]()
+    for one in status:
+        moved = _exact_motions(problem, one)
+        if moved is None or any(other != moved[0] for other in found if moved):
+            return True
+        found += moved
+    return False
+
+
+def _exact_motions(problem: ContactProblem, status: NDArray[np.int8]) -> list[Row] | None:
+    """Return how the answer of a combination (m,) moves the contacts, nothing where there is none, None of a family."""
+    if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
+        raise ValueError("answers are counted with friction only")
+    n, closed, stuck = problem.dimension, np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
+    size = n + len(closed) + len(stuck) + problem.ties
+    K, E, T, A = (
+        [[Fraction(x) for x in row] for row in one.toarray().tolist()]
+        for one in (problem.stiffness_rows, problem.normal, problem.tangent, problem.tie)
+    )
+    mu = [Fraction(x) for x in problem.friction.tolist()]
+    slides = [int(s) * (s != STICK) for s in status]
+    sticking, held = [T[i] for i in stuck], [E[i] for i in closed]
+    along = [[x + slides[i] * mu[i] * y for x, y in zip(E[i], T[i], strict=True)] for i in closed]
+    held, pushed = [*held, *sticking, *A], [*along, *sticking, *A]
+    limits = np.concatenate([problem.gap[closed], problem.slip_origin[stuck, 0], problem.tie_value]).tolist()
+    rows = [[*K[j], *(row[j] for row in pushed), Fraction(f)] for j, f in enumerate(problem.load.tolist())]
+    rows += [[*row, *[ZERO] * len(held), Fraction(limit)] for row, limit in zip(held, limits, strict=True)]
+    found = solutions(rows, size)
+    if found is None:
+        return []
+    none, signs = [ZERO] * (size - n), list[tuple[Row, float]]()
+    for i, state in enumerate(status):
+        force, rubbed = [ZERO] * size, [ZERO] * size
+        if state == OPEN:
+            signs.append(([*(-x for x in E[i]), *none], -float(problem.gap[i])))
+            continue
+        force[n + int(np.searchsorted(closed, i))] = ONE
+        signs.append((force, 0.0))
+        if state == STICK:
+            rubbed[n + len(closed) + int(np.searchsorted(stuck, i))] = ONE
+            signs += [([mu[i] * x + sign * y for x, y in zip(force, rubbed, strict=True)], 0.0) for sign in (1, -1)]
+        elif mu[i]:
+            origin = float(problem.slip_origin[i, 0])
+            signs.append(([*(slides[i] * x for x in T[i]), *none], slides[i] * origin))
+    images = [(found.image(row), Fraction(least)) for row, least in signs if np.isfinite(least)]
+    region = Region([(value - least, slope) for (value, slope), least in images], len(found.free))
+    if region.empty:
+        return []
+    moved = [found.image([*row, *none]) for row in [*E, *(T[i] for i in range(len(T)) if mu[i])]]
+    point = region.point()
+    one = [value + dot(slope, point) for value, slope in moved]
+    return [one] if region.ends([slope for _, slope in moved]) == [] else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,8 @@ INDEPENDENT = 1e-12
 MOST_LINEARISED = 100
 # Each contact whose forces may change takes linear programs, in space with so many tangents of its friction's disc.
 MOST_LOOKED_AT, DIRECTIONS = 30, 16
-# Of the largest force, by how much others are looked at.
-FARTHEST = 10.0
+# Of the largest force, by how much others are looked at, and by how much they differ.
+FARTHEST, CHANGES = 10.0, 1e-8
 # A contact takes part in a dependence with a share of at least this.
 SHARE = 1e-6
 
@@ -212,7 +212,7 @@ def _that_change(turns: Array, shared: Indices, mu: Vector, state: _State) -> In
     of = np.concatenate([closed, np.repeat(still, width)])
     unit = float(np.max(length, initial=0.0)) or 1.0
     widest = [width_of(turns[of == i] / unit, rows / unit, room, FARTHEST) for i in shared]
-    return np.asarray(shared[np.array(widest) > SHARE])
+    return np.asarray(shared[np.array(widest) > CHANGES])
 
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:
