@@ -5,7 +5,9 @@ Each combination of open, stick and slip is a linear system in the contact force
 normal rows, and tangential ones where there is friction. Signs and motions are measured contact by contact, against
 what rounding makes of the system: a contact that is far, or has slipped far, hides no answer at another. Where a system
 leaves something free that moves contacts, a linear program decides whether signs can hold; if they can, there is a
-family of answers. `contactqp.equilibria` refines each of them; here they are counted.
+family of answers. Where there may be several answers, and bodies are small, the systems that may hold are solved once
+more in rational numbers: where friction is at a limit, families are there or not by the last digit of a load.
+`contactqp.equilibria` refines each of them; here they are counted.
 """
 
 from __future__ import annotations
@@ -317,7 +319,7 @@ class _Systems:
         sizes, change = abs(self._felt) @ np.maximum(abs(one.y), abs(other.y)), abs(self._felt @ (one.y - other.y))
         given = self._given.ravel()[self._acting_rows]
         if one.off is None or other.off is None:
-            same, far = SAME * sizes + 10 * (self.doubtful * given + self.nothing), PROGRAMMED * (sizes + given)
+            same, far = NOTHING * (sizes + given) + SAFE * self.nothing, PROGRAMMED * (sizes + given)
         else:
             far = (one.off + other.off).ravel()[self._acting_rows]
             same = np.minimum(far, SAME * (sizes + given) + 10 * self.nothing)

@@ -142,3 +142,44 @@ def test_no_radius_is_claimed_where_ties_hold_a_contact_shut_that_may_press_with
     assert any("may press with any force" in reason for reason in judged.reasons)
     open_there = tied.replace(gap=[0.0, 1.0])
     assert cq.certify(open_there, cq.solve(open_there)).scope is not None
+
+
+def test_an_answer_beside_those_that_redundant_contacts_share_is_another() -> None:
+    """Two contacts stick and share 6e4 in many ways; open and sticking they carry 1.6e4, and lie 1e-5 elsewhere."""
+    problem = cq.ContactProblem(
+        [[20.25, 16.0, 8.0], [16.0, 22.0, 2.0], [8.0, 2.0, 9.0]],
+        [106461.7861328125, -36909.751953125, -32772.875],
+        [[2.0, 0.0, 2.0], [2.0, 0.0, -2.0]],
+        [-0.21875, -0.21875],
+        [[-1.0, -2.0, -2.0], [2.0, -1.0, 0.0]],
+        friction=[1.0, 3.0],
+        slip_origin=[[4.109375], [1.78125]],
+    )
+    exact = cq.exact_equilibria(problem)
+    moved = {tuple(one.displacement) for one in exact}
+    assert len(moved) == 2
+    for one in exact:
+        judged = cq.certify(
+            problem, one.displacement.astype(float), one.normal_force.astype(float), one.friction_force.astype(float)
+        )
+        assert judged.passed
+        assert SEVERAL in judged.uniqueness
+
+
+def test_a_load_at_the_limit_of_friction_to_its_last_digit_leaves_the_question_open() -> None:
+    """Bodies that friction alone holds would slide if 0.6 were 0.3 times 2; in doubles the load is below that."""
+    problem = cq.ContactProblem(
+        np.zeros((4, 4)),
+        [-7.6, -9.4, 5.0, 8.0],
+        [[0.0, -1.0, 0.0, 1.0], [-1.0, -1.0, 0.0, 0.0]],
+        [0.171875, -2.875],
+        [[1.0, 0.0, -1.0, 0.0], [1.0, -1.0, 0.0, 0.0]],
+        friction=[1.0, 0.3],
+        slip_origin=[[-1.0], [4.0]],
+    )
+    (exact,) = cq.exact_equilibria(problem)
+    judged = cq.certify(
+        problem, exact.displacement.astype(float), exact.normal_force.astype(float), exact.friction_force.astype(float)
+    )
+    assert judged.passed
+    assert judged.uniqueness == (POSSIBLE,)
