@@ -250,14 +250,14 @@ class _Systems:
         Parameters
         ----------
         matrices, right, status, y : systems, right-hand sides, combinations and solutions
-        alone : (c,) which systems have one solution; that of others is without bound
+        alone : (c,) which systems have one solution; others are left out
         """
         m = len(self.mu)
         closed = np.stack([status != OPEN, status == STICK], axis=2).reshape(len(status), 2 * m)
         lost = self._lost * (np.einsum("cij,cj->ci", abs(matrices), abs(y)) + abs(right))
         lost[:, : 2 * m] += closed * (self._lost * self._given.ravel() + self.nothing)
         lost[:, 2 * m :] += self.nothing
-        force = np.full_like(y, np.inf)
+        force = np.zeros_like(y)
         force[alone] = np.einsum("cij,cj->ci", abs(np.linalg.pinv(matrices[alone], rcond=0.0)), lost[alone])
         moved = (SAFE * force + self._lost * abs(y)) @ abs(self._slope).T
         moved = moved.reshape(len(y), m, 2) + SAFE * (self._lost * self._given + self.nothing)
