@@ -310,8 +310,8 @@ def refined_in(
         found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
         if cleared is False or not condensation.rigid.count:
             return found
-        answer, rigid = found.answer(rows.width), condensation.rigid
-        if max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid)) <= BALANCED:
+        answer = without_noise(problem, condensation.unknown_scale, rows, found.answer(rows.width), start)
+        if max(judge(problem, answer, condensation.rigid) for judge in (imbalance, made_of_motions)) <= BALANCED:
             return found
     return refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
 

@@ -319,3 +319,27 @@ def test_a_node_on_an_edge_is_held_at_its_bound(algorithm: str | None) -> None:
     assert abs(solution.displacement).max() <= 1e-15
     assert solution.normal_force == pytest.approx([3.0, 3.0], abs=1e-12)
     assert solution.friction_force == pytest.approx(np.array([[0.75, 0.0], [0.75, 0.0]]), abs=1e-12)
+
+
+def test_what_refinement_leaves_of_a_force_is_no_imbalance_of_a_motion() -> None:
+    """One force acts on the first unknown, and it is zero: of it 1e-30 was left, an imbalance of all that acts there.
+
+    K was then cleared of a rounding along rigid motions that it has not, which left 1e-18.
+    """
+    K = np.zeros((9, 9))
+    K[np.ix_([1, 2, 7, 8], [1, 2, 7, 8])] = 0.125 * np.outer([1, 1, -1, -1], [1, 1, -1, -1])
+    K[np.ix_([6, 8], [6, 8])] += [[32.0, 16.0], [16.0, 8.0]]
+    problem = cq.ContactProblem(
+        stiffness=K,
+        load=[0.0, 15.203125, 23.640625, 37.03125, 16.875, 72.1875, -42.53125, -32.078125, -98.578125],
+        normal=[[0, 0, 0, 2, 3, 6, -2, -3, -6], [0, 0, 0.5, 0, 0, -0.5, 0, 0, 0]],
+        gap=[-16.75, 4.125],
+        tangent=[[0, 0, 0, 3, -6, 2, -3, 6, -2], [0, 0, 0, 6, 2, -3, -6, -2, 3],
+                 [0.5, 0, 0, -0.5, 0, 0, 0, 0, 0], [0, 0.5, 0, 0, -0.5, 0, 0, 0, 0]],
+        friction=[0.25, 1.0],
+        slip_origin=[[34.375, -12.625], [-4.4453125, 3.25]],
+    )  # fmt: skip
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    np.testing.assert_allclose(solution.normal_force, [15.0, 45.0], rtol=1e-14)
+    np.testing.assert_allclose(solution.friction_force.ravel(), [2.34375, 0.0, 0.0, 28.125], rtol=1e-14)
