@@ -422,7 +422,7 @@ class _Group:
         most = max([1.0, *(abs(x) for _, x in still + apart + begin)])
         parts: dict[str, Any] = {}
         for kind, pairs, slack in (("eq", still, 0.0), ("ub", apart + begin, 1.0)):
-            rows = np.array([row @ self._basis.T for row, _ in pairs]).reshape(-1, len(self._basis))
+            rows = np.array([row @ self._basis.T for row, _ in pairs]).reshape(len(pairs), len(self._basis))
             room = np.full((len(pairs), 1), slack)
             room[: len(apart) if slack else None] = 0.0
             parts |= given_rows(kind, np.column_stack([rows, room]), np.array([x / most for _, x in pairs]))

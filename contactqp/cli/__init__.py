@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _WhileRead:
-    """A standard output whose reader may leave, as in `contactqp check ... | head`: the verdict is the same."""
+    """A standard output whose reader may leave before all is printed: the verdict, and the exit code, are the same."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream

@@ -100,7 +100,8 @@ def test_ties_that_repeat_leave_the_bounds_of_what_is_unique(rough: bool) -> Non
         with pytest.raises(cq.InvalidProblem, match=r"repeats|share"):
             twice.pullback(*asked)
     nearly = cq.solve(few.replace(tie=np.vstack([tie, 2 * tie]), tie_value=[0.1, np.nextafter(0.2, 1.0)]))
-    assert rough or nearly.derivative("displacement", "load", direction).bound_reason == derivatives.SHARED
+    conflict = "the answer is not proven: energy_error: ties that depend on each other to rounding conflict"
+    assert rough or nearly.derivative("displacement", "load", direction).bound_reason.startswith(conflict)
 
 
 def test_a_wall_that_repeats_another_and_turns_with_it_keeps_the_bounds() -> None:

@@ -78,7 +78,9 @@ def test_a_backend_that_stops_on_condensed_systems_is_shown_sparse_ones(seed: in
     assert solution.energy == pytest.approx(least, rel=1e-12)
     if not solution.work.routes:
         pytest.skip("this version of HiGHS does not stop here")
-    assert solution.work.routes == ("highs: not solved", "sparse: its answer is certified")
+    stopped, then = solution.work.routes
+    assert stopped.startswith("highs: not solved")
+    assert then == "sparse: its answer is certified"
 
 
 @pytest.mark.slow
