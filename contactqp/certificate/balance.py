@@ -432,6 +432,7 @@ def carried_by_others(problem: ContactProblem, condensation: Condensation, left:
     """
     carried, every = np.zeros(problem.contacts), np.arange(problem.contacts)
     rows, weight = rows_on_motions(problem, condensation, every)
+    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
     values, rotation = right_singular(rows[np.append(pushes, np.ones(problem.ties, dtype=bool))])
     free = rotation[int(np.sum(values > UNRESISTED * max(values.max(initial=0.0), 1.0))) :].T
     along, load = rows[every] @ free, float(np.linalg.norm(free.T @ left))

@@ -429,3 +429,19 @@ def test_a_motion_that_a_tie_asks_for_without_forces_is_right() -> None:
     for pushed, held in (([1e-9, 0.0], [0.0, 0.0]), ([0.0, 1e-15], [0.0, 0.0]), ([0.0, 0.0], [1e-12, 0.0])):
         assert not cq.certify(problem, u, pushed, None, held).passed
     assert not cq.certify(problem, u + 1e-6 * np.eye(8)[1]).passed
+
+
+def test_a_contact_that_no_rigid_motion_moves_carries_nothing_of_what_rounding_leaves() -> None:
+    """A lattice of springs with two rigid motions, neither of which moves unknown 1, where a contact grazes."""
+    K = np.zeros((7, 7))
+    springs = {(0, 4): -68, (0, 5): -6, (0, 6): -6, (1, 2): -28, (1, 3): -28, (1, 4): 28, (2, 3): 28, (2, 4): -28}
+    for (i, j), k in (springs | {(2, 6): -224, (3, 4): -28, (3, 5): -528, (5, 6): 6}).items():
+        K[i, j] = K[j, i] = k
+    K += np.diag([74, 46, 252, 556, 96, 534, 230])
+    load = [-32.5, 0.75, -234.5, 451.5, 45.25, -463.5, 222.5]
+    rows = np.zeros((3, 7))
+    rows[[0, 0, 1, 2, 2], [1, 4, 1, 1, 4]] = -1, 1, 1, -0.5, 0.5
+    solution = cq.solve(cq.ContactProblem(K, load, rows, [-0.375, -0.5, 0.1875]))
+    assert solution.normal_force == pytest.approx([0.75, 0.0, 0.0], abs=1e-14)
+    assert solution.certificate.proven
+    assert np.max(solution.certificate.force_bound) < 1e-12
