@@ -172,7 +172,7 @@ def test_rates_at_redundant_contacts_are_differences_of_exact_answers(problems: 
     [(True, 2), (False, 12), (True, 12)],
 )
 def test_rates_are_differences_of_exact_answers_and_those_in_doubles(border: bool, problems: int) -> None:
-    rng, seen, reached, step = np.random.default_rng(21), 0, 0, Fraction(STEP)
+    rng, seen, reached, untold, step = np.random.default_rng(21), 0, 0, 0, Fraction(STEP)
     for _ in range(problems):
         problem = at_borders(rng) if border else drawn(rng)
         solution, answer = cq.solve(problem), cq.exact(problem)
@@ -187,7 +187,10 @@ def test_rates_are_differences_of_exact_answers_and_those_in_doubles(border: boo
                 if found.right is None or doubles.right is None:
                     assert border
                     continue
-                if found.reach is not None:  # the doubles' is that of the same event
+                if found.reach is not None and doubles.reach is None:  # at a border whose rows depend on each other
+                    assert border
+                    untold += 1
+                elif found.reach is not None:  # the doubles' is that of the same event
                     assert doubles.reach == pytest.approx([float(step) for step in found.reach], rel=1e-9)
                     reached += min(found.reach) < math.inf
                 if name in ("load", "gap", "slip_origin") and of not in ("gap", "reaction"):
@@ -199,6 +202,7 @@ def test_rates_are_differences_of_exact_answers_and_those_in_doubles(border: boo
                 seen += 1
     assert seen > 25 * problems // 3
     assert reached > 5 * problems // 3
+    assert untold <= reached // 4
 
 
 def test_bad_arguments_are_one_clear_error() -> None:
