@@ -258,11 +258,17 @@ class Noise:
     bodies: FloatingBodies
 
     def of_forces(self, rows: Any) -> Vector:
-        """Return the noise (r,) of the forces of rows: the least noise at one of a row's unknowns j, over |E_ij|."""
+        """Return the noise (r,) of the forces of rows: the least noise at one of a row's unknowns j, over |E_ij|.
+
+        A force of zero may be all that meets at an unknown without stiffness: eps^2 of the largest is left of it.
+        """
         entries = abs(rows).tocoo()
         noise = np.full(rows.shape[0], np.inf)
         np.minimum.at(noise, entries.row, (TEXTBOOK_ROUNDING * self.forces + self.shaken)[entries.col] / entries.data)
-        return np.where(np.isfinite(noise), noise, 0.0) + self.bodies.carried(rows, self.forces)
+        entry = np.ones(rows.shape[0])
+        np.maximum.at(entry, entries.row, entries.data)
+        left = TEXTBOOK_ROUNDING**2 * float(self.forces.max(initial=0.0)) / entry
+        return np.where(np.isfinite(noise), noise, 0.0) + left + self.bodies.carried(rows, self.forces)
 
     def of_lengths(self, rows: Any, limits: Vector) -> Vector:
         """Return the noise (r,) of E u - g for rows and their limits."""

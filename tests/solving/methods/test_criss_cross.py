@@ -103,6 +103,7 @@ def test_every_solvable_problem_that_contacts_hold_is_solved(seed: int) -> None:
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(seed=st.integers(0, 10**6))
+@example(seed=118537)  # a contact without force is all that acts at such an unknown: -4e-32 is no tension
 @example(seed=456172)  # a contact without force at an unknown without stiffness, where another's rounding is all
 def test_every_one_of_many_solvable_problems_is_solved(seed: int) -> None:
     _is_solved_if_held(seed)
