@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.balance import carried_by_others, rounded_within_parts, rows_on_motions
+from contactqp.certificate.balance import rounded_within_parts
 from contactqp.certificate.figures import energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
@@ -213,6 +213,17 @@ def without_tension(problem: ContactProblem, condensation: Condensation, force: 
     if np.any((force + changed).double()[acting] < 0):
         return dropped, tie_change
     return changed, tie_change + change[len(acting) :]
+
+
+def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
+    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
+
+    Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
+    """
+    Z = condensation.rigid.motions
+    weight = 1.0 / np.sqrt(condensation.delassus.compliance)
+    weight = np.concatenate([weight[active], weight[problem.contacts :]])
+    return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
 
 
 def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
@@ -468,11 +479,10 @@ def conflict_of_constraints(problem: ContactProblem, condensation: Condensation)
 def out_of_balance(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: Indices
 ) -> Vector:
-    """Return the imbalance that rounding leaves on rigid motions, as forces (m,) of the contacts.
+    """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
 
     No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to FINE_EPS of all
-    that meet, |K||u| of a large motion included, those of a repair to eps of the outer forces. What refined forces
-    leave of the load beyond this the true ones carry: those that push, and on motions that these leave free others.
+    that meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
 
     Parameters
     ----------
@@ -481,18 +491,10 @@ def out_of_balance(
     active : (q,) array of int, the contacts that are closed in it
     """
     motions = condensation.rigid.motions
-    solution = extend(answer.displacement) + pair.to_middle
-    forces = Answer(solution.double(), pair.force.double(), None, pair.tie_force.double())
+    solution = (extend(answer.displacement) + pair.to_middle).double()
+    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
     imbalance = FINE_EPS * forces_that_meet(problem, forces) if pair.exact else EPS * outer_forces(problem, forces)
-    size, share = abs(motions).T @ imbalance, np.zeros(problem.contacts)
-    if pair.exact:
-        exact = condensation.cleared_rows(problem) if pair.cleared else extended_rows(problem)
-        balanced = exact.stiffness @ solution + exact.contact_force(pair.force, pair.tie_force)
-        left = motions.T @ (extend(problem.load) - balanced).double()
-        share = carried_by_others(problem, condensation, left, forces.normal_force > 0)
-        size = size + abs(left) + abs(problem.normal @ motions).T @ share
     rows, weight = rows_on_motions(problem, condensation, active)
     rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
-    taken = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(size)
-    share[active] += (weight * np.sum(abs(taken), axis=1))[: len(active)]
-    return share
+    share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)
+    return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])

@@ -24,13 +24,13 @@ from contactqp.certificate.figures import (
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import RigidMotions, SaddlePoint
 from contactqp.linalg.extended import Extended, extend, extended_rows
-from contactqp.linalg.factorization import RIGID_ENERGY, images, right_singular
-from contactqp.linalg.floating import UNRESISTED, that_move
+from contactqp.linalg.factorization import RIGID_ENERGY, images
+from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
-from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -42,8 +42,6 @@ RESISTED = 1e-9
 NO_RESULTANT = 1e-14
 # A motion along which K's rounding makes up this part of the forces cannot be judged by them.
 NOTHING_BUT_ROUNDING = 0.1
-# Forces that may carry the rest of a load are bounded by so many times what one set of contacts would.
-ALLOWED = 2.0
 # What K's rounding makes of a rigid motion is forgiven up to this part of the forces: beyond, a resultant is wrong,
 # whoever carries the rest.
 FORGIVEN = 1e-6
@@ -405,41 +403,3 @@ def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
         held |= less
     less = first < least
     return first * float(np.min(least[less] / first[less], initial=1.0))
-
-
-def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
-    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
-
-    Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
-    """
-    Z = condensation.rigid.motions
-    weight = 1.0 / np.sqrt(condensation.delassus.compliance)
-    weight = np.concatenate([weight[active], weight[problem.contacts :]])
-    return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
-
-
-def carried_by_others(problem: ContactProblem, condensation: Condensation, left: Vector, pushes: Mask) -> Vector:
-    """Return the forces (m,) of contacts that do not push which may carry what is left of a load on motions (r,).
-
-    These are motions that neither contacts that push nor ties resist; independent rows carry no more there than the
-    load over their least singular value. Of what rounding leaves ALLOWED times as much is allowed for.
-
-    Parameters
-    ----------
-    problem, condensation : ContactProblem, and its Condensation
-    left : (r,) array, what is left of the load on each rigid motion
-    pushes : (m,) array of bool, the contacts that push
-    """
-    carried, every = np.zeros(problem.contacts), np.arange(problem.contacts)
-    rows, weight = rows_on_motions(problem, condensation, every)
-    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
-    values, rotation = right_singular(rows[np.append(pushes, np.ones(problem.ties, dtype=bool))])
-    free = rotation[int(np.sum(values > UNRESISTED * max(values.max(initial=0.0), 1.0))) :].T
-    along, load = rows[every] @ free, float(np.linalg.norm(free.T @ left))
-    size = np.linalg.norm(along, axis=1)
-    others = ~pushes & (size > UNRESISTED * np.linalg.norm(rows[every], axis=1))
-    if load > 0 and others.any():
-        apart = right_singular(along[others] / size[others, None])[0]
-        together = ALLOWED * load / min(1.0, apart[apart > UNRESISTED].min())
-        carried[others] = together / size[others] * weight[every][others]
-    return carried

@@ -427,13 +427,13 @@ def _force_bound(
         return None, REDUNDANT
     count, bound = len(active), np.zeros(problem.contacts)
     bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
-    if condensation.rigid.count:
-        bound += out_of_balance(problem, answer, condensation, pair, active)
     if count:
         nothing = np.zeros((len(condensation.retained), count))
         motion, reaction, _ = saddle.solve(nothing, np.eye(count), np.zeros((problem.ties, count)))
         stiffness = np.sqrt(np.maximum(-reaction.diagonal(), 0.0))
-        bound[active] += stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+        bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+        if condensation.rigid.count:
+            bound[active] += out_of_balance(problem, answer, condensation, pair, active)
     return bound, None
 
 
