@@ -117,9 +117,12 @@ def transformation(rows: Matrix, values: Vector, slaves: Indices) -> tuple[Matri
     if slaves.size == 0:
         return identity, offset
     C_s, C_m = rows[:, slaves].toarray(), rows[:, masters]
-    offset[slaves] = np.linalg.solve(C_s, values)
     touched = np.unique(C_m.indices)
-    T = sp.coo_array(-np.linalg.solve(C_s, C_m[:, touched].toarray()))
+    try:
+        offset[slaves] = np.linalg.solve(C_s, values)
+        T = sp.coo_array(-np.linalg.solve(C_s, C_m[:, touched].toarray()))
+    except np.linalg.LinAlgError:
+        raise SingularSystem(f"{NAME}: rounding hides which of the closed contacts and ties are independent") from None
     dependence = sp.csr_array((T.data, (slaves[T.row], touched[T.col])), shape=(n, masters.size))
     return sp.csr_array(identity + dependence), offset
 
