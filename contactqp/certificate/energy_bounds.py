@@ -287,9 +287,9 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> A
 def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
     """Return what |r|'|v| and |v|_K d of the shortest motions v = E'(E E')^-1 e_i (a, 2) do not exceed, but for chance.
 
-    For D = diag(d) and signs z at random the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z has the v'D z of all
-    motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2, with s_j
-    the sum of |K_ji| over i. That the mean of `PROBES` falls short by `CAUTION` in the root has odds beneath 1e-10.
+    For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z has the v'D z
+    of all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2, with
+    s_j the sum of |K_ji| over i. That the mean of `PROBES` falls short by `CAUTION` in the root has odds beneath 1e-10.
 
     Parameters
     ----------
@@ -300,11 +300,11 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: floa
     """
     count, n = rows.shape
     weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1))) * distance])
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (n, PROBES))
+    forces = np.random.default_rng(0).standard_normal((n, PROBES))
     solve = _inverse_of_gram(rows)
     if solve is None:
         return np.full((count, 2), np.inf)
-    answered = [np.column_stack([solve(one) for one in (rows @ (weight[:, None] * signs)).T]) for weight in weights.T]
+    answered = [np.column_stack([solve(one) for one in (rows @ (weight[:, None] * forces)).T]) for weight in weights.T]
     return np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
 
 

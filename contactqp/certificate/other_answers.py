@@ -35,7 +35,7 @@ MOST_LOOSE = 30
 MOST_EXACT = 24
 # Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
 DOUBTFUL = 1e-9
-# Answers that are there only by more than this part are not sure to be others: friction is near its limit.
+# Signs along families that fail by more than this part are no rounding of data: such answers may be none.
 SURE = 1e-13
 # Of the largest force, what rounding may leave of another.
 ROUNDING = 1e-13

@@ -61,7 +61,7 @@ class Spring:
     Raises
     ------
     InvalidProblem
-        Of any of these.
+        One of these arguments is not as described; the message names it.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Cable:
     Raises
     ------
     InvalidProblem
-        Of any of these.
+        One of these arguments is not as described; the message names it.
 
     Examples
     --------
@@ -154,7 +154,7 @@ class Strut:
     Raises
     ------
     InvalidProblem
-        Of any of these.
+        One of these arguments is not as described; the message names it.
 
     Examples
     --------
@@ -226,7 +226,7 @@ class PlasticHinge:
     Raises
     ------
     InvalidProblem
-        Of any of these.
+        One of these arguments is not as described; the message names it.
 
     Examples
     --------
