@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.balance import rounded_within_parts
+from contactqp.certificate.balance import rounded_within_parts, rows_on_motions
 from contactqp.certificate.figures import energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
@@ -119,7 +119,8 @@ def refuse_unbalanced(
     """Raise Undecided where the pair's forces leave more of the load on a rigid motion than rounding makes.
 
     Up to `BALANCED` of all forces such a rest counts as nothing, and so do contact forces that might carry it; then the
-    pair is that of another load, and its distance from the solution says nothing of them.
+    pair is that of another load, and its distance from the solution says nothing of them. Of a refined pair extended
+    precision tells what is left beyond K's own rounding, even of a rigid motion that doubles hardly know.
 
     Parameters
     ----------
@@ -127,13 +128,18 @@ def refuse_unbalanced(
     pair : AdmissiblePair, whose forces are looked at
     """
     rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
+    onto = SparseRows(sp.csr_matrix(motions.T))
     outer = extend(problem.load) - rows.contact_force(pair.force, pair.tie_force)
-    missed = abs((SparseRows(sp.csr_matrix(motions.T)) @ outer).double())
-    solution = (extend(answer.displacement) + pair.to_middle).double()
-    forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
+    missed = abs((onto @ outer).double())
+    solution = extend(answer.displacement) + pair.to_middle
+    forces = Answer(solution.double(), pair.force.double(), None, pair.tie_force.double())
     meeting = forces_that_meet(problem, forces)
     size = abs(motions).T @ meeting
     beyond = missed > max(LEFT_BY_ROUNDING, condensation.rigid.uncertainty) * size
+    if pair.exact and not pair.saddle.redundant:  # else another sharing of the forces is balanced in doubles
+        stiffness = (condensation.cleared_rows(problem) if pair.cleared else rows).stiffness
+        left = abs((onto @ (outer - stiffness @ solution)).double())
+        beyond |= left > EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement))
     beyond &= missed > abs(motions).T @ rounded_within_parts(problem, meeting)
     if np.any(beyond):
         worst = int(np.argmax(np.where(beyond, missed / np.where(size > 0, size, 1.0), 0.0)))
@@ -213,17 +219,6 @@ def without_tension(problem: ContactProblem, condensation: Condensation, force: 
     if np.any((force + changed).double()[acting] < 0):
         return dropped, tie_change
     return changed, tie_change + change[len(acting) :]
-
-
-def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
-    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
-
-    Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
-    """
-    Z = condensation.rigid.motions
-    weight = 1.0 / np.sqrt(condensation.delassus.compliance)
-    weight = np.concatenate([weight[active], weight[problem.contacts :]])
-    return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight
 
 
 def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:

@@ -30,7 +30,7 @@ from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
-from contactqp.model.arrays import EPS, Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -403,3 +403,14 @@ def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
         held |= less
     less = first < least
     return first * float(np.min(least[less] / first[less], initial=1.0))
+
+
+def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
+    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
+
+    Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
+    """
+    Z = condensation.rigid.motions
+    weight = 1.0 / np.sqrt(condensation.delassus.compliance)
+    weight = np.concatenate([weight[active], weight[problem.contacts :]])
+    return np.vstack([problem.normal[active] @ Z, problem.tie @ Z]) * weight[:, None], weight

@@ -109,7 +109,7 @@ def test_rates_are_those_of_exact_answers(border: bool, problems: int) -> None:
                 two_sided += not found.exists
     assert seen >= 6 * problems
     assert bounded >= seen // 4
-    assert slips >= problems // 8
+    assert slips >= problems // 12  # of the answers that are unique
     assert (two_sided >= 2 * problems) == border
 
 

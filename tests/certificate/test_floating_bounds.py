@@ -420,3 +420,28 @@ def test_a_contact_that_no_rigid_motion_moves_carries_nothing_of_what_rounding_l
     assert solution.normal_force == pytest.approx([0.75, 0.0, 0.0], abs=1e-14)
     assert solution.certificate.proven
     assert np.max(solution.certificate.force_bound) < 1e-12
+
+
+def _grazing(push: float) -> cq.ContactProblem:
+    """A stiffness of rank one under 5242880 at contact 0 and `push` at contact 1; gaps 0, 0, 8.5e-8, 0."""
+    stretch = np.array([1.0, 1.0, 2.0, -2.0])
+    return cq.ContactProblem(
+        stiffness=np.outer(stretch, stretch),
+        load=[15728638.012695312, -1.98730468750 + 2 * push, 10485756.025390625, 3.974609375 - push],
+        normal=[[3.0, 0.0, 2.0, 0.0], [0.0, 2.0, 0.0, -1.0], [-3.0, 0.0, 0.0, 0.0], [3.0, -1.0, 1.0, 0.0]],
+        gap=[6.01171875, -1.998046875, -5.999999915249646, 6.0048828125],
+    )
+
+
+@pytest.mark.parametrize("power", [-40, -37, -34, -31, -29])
+def test_bounds_of_forces_contain_what_a_load_leaves_out_of_balance(power: int) -> None:
+    """A force of 2^-29 beside one of 5e6 is within rounding of a balance without it, which does not make it zero."""
+    push = 2.0**power
+    u = [2.0, 2.0**-10, 0.005859375, 2.0]
+    problem = _grazing(push)
+    without = cq.certify(problem, u, [5242880.0, 0.0, 0.0, 0.0])
+    assert without.force_bound is None or without.force_bound[1] >= push
+    exact = cq.certify(problem, u, [5242880.0, push, 0.0, 0.0])
+    assert exact.passed
+    assert exact.force_bound is not None
+    assert exact.force_bound.max() < 1e-3 * push
