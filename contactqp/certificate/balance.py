@@ -27,7 +27,7 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, scale_through_rows, untouched
+from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, row_sizes, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
@@ -76,6 +76,16 @@ def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
         most[:] = 0.0
     np.maximum.at(most, part, D * meeting)
     return np.divide(NO_FORCE * most[part], D, out=np.zeros_like(D), where=D > 0)
+
+
+def work_that_meets(problem: ContactProblem, answer: Answer) -> float:
+    """Return |f|'|u| + |l|'(|E||u| + |g|) + |nu|'(|A||u| + |b|), the work whose rounding an answer in doubles has."""
+    moved = abs(answer.displacement)
+    lengths = row_sizes(problem, problem.normal).lengths(moved) + abs(problem.gap)
+    tied = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
+    pushing = answer.normal_force != 0  # gaps of others may be infinite
+    contacts = abs(answer.normal_force[pushing]) @ lengths[pushing]
+    return float(abs(problem.load) @ moved + contacts + abs(answer.tie_force) @ tied)
 
 
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:

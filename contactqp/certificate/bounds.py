@@ -208,7 +208,7 @@ def admissible_pair(
     condensation : that of the problem
     """
     pair = _nearest_pair(problem, answer, residual, condensation)
-    if condensation.rigid.count:
+    if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive nothing
         refuse_unbalanced(problem, answer, condensation, pair)
     return pair
 
@@ -305,7 +305,6 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     changes = extend(answer.normal_force) - pair.force, extend(answer.tie_force) - pair.tie_force
     push, changed, floats = pair.force.double(), changes[0].double(), bool(condensation.rigid.count)
     forces = (pair.force, pair.tie_force) if pair.exact else None
-    # A displacement without strain has none in extended precision, but for that of its rigid part, K's rounding.
     strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
@@ -316,6 +315,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
         uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
         rigid = max(rigid, 2 * uncertain)  # the answer may be strained as much
+    if pair.exact and energy_scale <= pair.radius and not (problem.load.any() or push.any()):
+        rounding = max(rounding, 4 * pair.dual_radius)  # without a load what is admissible and not strained solves
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
@@ -343,9 +344,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
-    energy_error = relative_error(distance, energy_scale, pair.radius + uncertain)
-    if hidden and not pair.exact:  # nothing is known of the strain that a large motion hides
-        energy_error = float("inf")
+    lost = hidden and not pair.exact  # nothing is known of the strain that a large motion hides
+    energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
     return replace(
         bounds,
         energy_scale=energy_scale,

@@ -43,6 +43,7 @@ from contactqp.linalg.measures import lengths, own_compliance, ratio
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.arrays import (
     CERTIFY,
+    ROUNDED_UP,
     Indices,
     Mask,
     Vector,
@@ -319,7 +320,7 @@ def _worded(
         natural_map=None if law is None else float(law.max(initial=0.0)),
         energy_error=bounds.energy_error,
         force_error=bounds.force_error,
-        force_bound=bounds.force_bound,
+        force_bound=None if bounds.force_bound is None else ROUNDED_UP * bounds.force_bound,
         reasons=bounds.reasons,
         grazing=tuple(np.flatnonzero(measured.grazing).tolist()),
         failures=tuple(failures),

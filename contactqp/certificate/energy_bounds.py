@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.balance import work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
@@ -51,7 +52,7 @@ from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import without_needless_forces
-from contactqp.linalg.measures import bodies, row_sizes
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.schur import with_pivots
@@ -189,8 +190,7 @@ def _from_solution(
         missed = min(missed, float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned)))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
-    lengths = row_sizes(problem, problem.normal).lengths(abs(solution.displacement)) + abs(problem.gap)
-    rounded = max(float(solution.normal_force @ lengths) * EPS, REACH * least**2)
+    rounded = max(work_that_meets(problem, solution) * EPS, REACH * least**2)
     error = distance + float(np.sqrt(8 * wide))
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
@@ -418,7 +418,7 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
 def _energy(state: ClosedState) -> tuple[float, float, float]:
     """Return the energy J, the larger of its terms or, where both vanish, of the dual energy's, and 1/2 U'K U.
 
-    K U is what the residual r = f - K U - E'L - A'N has been formed with.
+    K U is what the residual r = f - K U - E'L - A'N has been formed with. What work that cancels leaves is no measure.
     """
     problem, answer = state.problem, state.answer
     u, doubles, load = answer.displacement, answer.double(), extend(problem.load)
@@ -427,6 +427,7 @@ def _energy(state: ClosedState) -> tuple[float, float, float]:
     work = u.dot(load)
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
     least = least_length(problem) * float(np.max(problem.load_size, initial=0.0))
+    least = max(least, NOTHING_BY_DEFAULT * work_that_meets(problem, doubles))
     return elastic - work, max(elastic, abs(work), least) or float(lifted), elastic
 
 

@@ -111,7 +111,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import ContactCompliance, ContactOperators, contact_compliance, refined_forces
 from contactqp.linalg.extended import extend
 from contactqp.linalg.measures import directions, lengths, own_compliance
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import ROUNDED_UP, Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -494,6 +494,5 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
                 return f"other equilibria are not excluded (kappa = {kappa:.3g}), and {NO_MARGIN}"
             norms, error, radius = at
     off = lengths((extend(force.ravel()) - found.force).double().reshape(force.shape))
-    return LocalBounds(
-        relative_error(apart + error, size, error), off + error * norms.force / compliance.scale, scope, radius
-    )
+    bound = ROUNDED_UP * (off + error * norms.force / compliance.scale)
+    return LocalBounds(relative_error(apart + error, size, error), bound, scope, radius)

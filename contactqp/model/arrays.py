@@ -50,6 +50,8 @@ TOO_FAR_APART = (
 TINY = float(np.finfo(float).tiny)
 # The rounding of a double is at most half of this part of it.
 EPS = float(np.finfo(float).eps)
+# Times this a bound stays one, whatever its last operations have rounded.
+ROUNDED_UP = 1.0 + 4.0 * EPS
 
 # Sparse solvers count rows and columns with 32 bits.
 LARGEST_INDEX = 2**31 - 1

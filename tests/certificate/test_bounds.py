@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -272,3 +273,47 @@ def test_the_truth_is_accepted_where_no_contact_pushes_and_rounding_is_smaller_t
     found, _ = exact_truth(problem, cq.solve(problem))
     u, force = found.rounded()
     assert cq.certify(problem, u, force, tie_force=found.tie_force if problem.ties else None).passed
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_bounds_of_printed_forces_are_not_below_the_error_by_a_rounding(seed: int) -> None:
+    """The error of a printed force is the difference of two numbers, and the bound was the same difference, rounded."""
+    random = np.random.default_rng(seed)
+    B = random.integers(-3, 4, (3, 3)).astype(float)
+    problem = cq.ContactProblem(
+        B @ B.T + np.eye(3), random.integers(-9, 10, 3), random.integers(-2, 3, (3, 3)), [0, 0, 0]
+    )
+    solution = cq.solve(problem)
+    truth, _ = exact_truth(problem, solution)
+    assert truth is not None
+    for figures in (4, 5, 6, 7, 8):
+        printed = np.array([float(f"{force:.{figures}e}") for force in solution.normal_force])
+        bound = cq.certify(problem, solution.displacement, printed).force_bound
+        if bound is not None:
+            exact = [Fraction(int(truth.force[i, 0].p), int(truth.force[i, 0].q)) for i in range(3)]
+            errors = [abs(Fraction(one) - force) for one, force in zip(printed, exact, strict=True)]
+            assert all(error <= Fraction(most) for error, most in zip(errors, bound, strict=True))
+
+
+@pytest.mark.parametrize(("weight", "ahead"), [(1e-4, -2.1), (0.1, 3.1)])
+def test_ties_that_move_bodies_without_a_force_are_proven(weight: float, ahead: float) -> None:
+    """The plan of a double integrator whose states cost nothing: it drifts, no thrust is needed, and energy is zero."""
+    steps, drift, thrust = 3, np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([0.005, 0.1])
+    rows, values = np.zeros((2 * steps, 3 * steps)), np.zeros(2 * steps)
+    values[:2] = drift @ [ahead, 1.0]
+    for k in range(steps):
+        here = slice(2 * k, 2 * k + 2)
+        rows[here, here], rows[here, 2 * steps + k] = np.eye(2), -thrust
+        if k:
+            rows[here, 2 * k - 2 : 2 * k] = -drift
+    bound = np.r_[np.full(2 * steps, 5.0), np.ones(steps)]
+    stiffness = np.diag(np.r_[np.zeros(2 * steps), np.full(steps, weight)])
+    plan = cq.ContactProblem.from_qp(stiffness, np.zeros(3 * steps), A=rows, b=values, lb=-bound, ub=bound)
+    solution = cq.solve(plan)
+    assert solution.displacement[2 * steps :] == pytest.approx(np.zeros(steps), abs=1e-15)
+    assert solution.certificate.proven
+    thrusting = (
+        solution.displacement
+        + np.linalg.lstsq(np.vstack([rows, np.eye(3 * steps)[-1:]]), np.r_[np.zeros(2 * steps), 1e-3], rcond=None)[0]
+    )
+    assert not cq.certify(plan, thrusting, solution.normal_force, tie_force=solution.tie_force).passed

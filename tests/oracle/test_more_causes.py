@@ -278,3 +278,25 @@ def test_digits_are_no_cause_where_every_digit_is_right() -> None:
     assert not judged.passed
     assert "digits" not in judged.diagnosis
     assert "constrains nothing" in judged.diagnosis or "0.875" in judged.diagnosis
+
+
+@pytest.mark.parametrize("digits", [12, 13])
+def test_what_is_left_of_many_digits_is_no_offset_and_no_glue(digits: int) -> None:
+    """A Winkler beam printed with more digits than are usual, at a tolerance beneath them: it has no other fault.
+
+    The mean of the last digits, 1e-14 of the displacements, is no place from where these are counted.
+    """
+    bending = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4.0]])
+    stiffness = np.zeros((9, 9))
+    stiffness[:4, :4] += 100.0 * bending
+    stiffness[2:6, 2:6] += 100.0 * bending
+    stiffness[6:, 6:] = 10.0 * np.eye(3)
+    rows = np.zeros((3, 9))
+    rows[range(3), [0, 2, 4]], rows[range(3), [6, 7, 8]] = -1.0, 1.0
+    beam = cq.ContactProblem(stiffness, [-7.0, 1.0, -3.0, 0.0, -5.0, -1.0, 0.0, 0.0, 0.0], rows, np.zeros(3))
+    right = cq.solve(beam)
+    u, force = _printed(right.displacement, digits), _printed(right.normal_force, digits)
+    judged = cq.certify(beam, u, force, tolerance=10.0**-digits)
+    assert not judged.passed
+    assert f"about {digits} digits" in judged.diagnosis or f"about {digits - 1} digits" in judged.diagnosis
+    assert not causes(judged) & {"shifted", "bilateral"}

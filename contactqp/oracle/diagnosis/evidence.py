@@ -216,6 +216,8 @@ def unit_of(unit: str) -> str:
 GONE, LEFT = 1e-2, 1e-3
 # What differs by less than this has no error left.
 NOTHING = 1e-9
+# An answer whose whole error is no more than so many times that was not wrong for a reason which leaves it there.
+TOLD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,7 +375,7 @@ class Evidence:
 
     def explains(self, left: float) -> bool:
         """Return whether an answer that is this far from right, something undone, was wrong for that reason."""
-        return left <= max(NOTHING, min(LEFT, GONE * self.before))
+        return left <= min(LEFT, GONE * self.before) or left <= NOTHING < TOLD * self.before
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
         """Return whether the certificate passes a changed answer, or the same answer to another problem.
