@@ -133,14 +133,17 @@ def refuse_unbalanced(
     missed = abs((onto @ outer).double())
     solution = extend(answer.displacement) + pair.to_middle
     forces = Answer(solution.double(), pair.force.double(), None, pair.tie_force.double())
-    meeting = forces_that_meet(problem, forces)
-    size = abs(motions).T @ meeting
+    size = abs(motions).T @ forces_that_meet(problem, forces)
     beyond = missed > max(LEFT_BY_ROUNDING, condensation.rigid.uncertainty) * size
-    if pair.exact and not pair.saddle.redundant:  # else another sharing of the forces is balanced in doubles
+    if pair.exact:
         stiffness = (condensation.cleared_rows(problem) if pair.cleared else rows).stiffness
         left = abs((onto @ (outer - stiffness @ solution)).double())
-        beyond |= left > EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement))
-    beyond &= missed > abs(motions).T @ rounded_within_parts(problem, meeting)
+        shared = (
+            LEFT_BY_ROUNDING * size if problem.ties or pair.saddle.redundant else 0.0
+        )  # forces are shared in doubles
+        beyond |= left > np.maximum(EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement)), shared)
+    refined = replace(forces, displacement=np.maximum(abs(answer.displacement), abs(forces.displacement)))
+    beyond &= missed > abs(motions).T @ rounded_within_parts(problem, forces_that_meet(problem, refined))
     if np.any(beyond):
         worst = int(np.argmax(np.where(beyond, missed / np.where(size > 0, size, 1.0), 0.0)))
         raise Undecided(

@@ -445,3 +445,34 @@ def test_bounds_of_forces_contain_what_a_load_leaves_out_of_balance(power: int) 
     assert exact.passed
     assert exact.force_bound is not None
     assert exact.force_bound.max() < 1e-3 * push
+
+
+def test_noise_of_a_displacement_drives_nothing_where_nothing_loads_the_body() -> None:
+    """A lattice that floats but for ties, without a load: what another code left of zero is refined to zero."""
+    K = np.zeros((8, 8))
+    springs = {
+        (0, 1): -126,
+        (0, 2): 368,
+        (0, 6): 126,
+        (0, 7): 126,
+        (1, 5): 31.5,
+        (1, 6): 126,
+        (1, 7): 126,
+        (3, 7): 4.25,
+    }
+    for (i, j), k in (springs | {(2, 3): 3.125, (2, 4): 3.125, (2, 5): -3.125, (3, 4): -3.125, (3, 5): 3.125}).items():
+        K[i, j] = K[j, i] = -k
+    K[4, 5] = K[5, 4] = -3.125
+    K[3, 7] = K[7, 3] = -4.25
+    K[4, 6] = K[6, 4] = -1.0
+    K[6, 7] = K[7, 6] = 126.0
+    K += np.diag([494, 157.5, 371.125, 7.375, 57.375, 34.625, 127, 130.25])
+    rows = np.zeros((5, 8))
+    rows[[0, 1, 2, 3, 4], [3, 5, 2, 0, 5]] = 1, 1, -1, -1, 4
+    tie = [[2, 1, 1, 1, 0, 1, 1, 0], [0.5, -0.5, 1, -0.5, 0.5, 1, 0.5, 0.5]]
+    problem = cq.ContactProblem(
+        K, np.zeros(8), rows, [0.6220703125, 1.353515625, 0.30517578125, 0.0, 1.501953125], tie=tie, tie_value=[0, 0]
+    )
+    noise = np.array([0.0, 1.06e-16, -1.73e-17, -2.45e-15, 4.54e-16, -1.28e-15, 3.63e-15, -3.42e-15])
+    assert cq.certify(problem, noise, np.zeros(5), tie_force=np.zeros(2)).proven
+    assert not cq.certify(problem, noise, [0.0, 0.0, 0.0, 1e-3, 0.0], tie_force=np.zeros(2)).passed
