@@ -21,8 +21,10 @@ from contactqp.cli.output import (
     print_json,
     strict_option,
     units_option,
+    whereabouts,
 )
 from contactqp.errors import InvalidProblem, SceneError
+from contactqp.model.arrays import telling
 
 
 @click.command("check", short_help="Judge somebody else's answer to a problem.")
@@ -297,8 +299,9 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
     from contactqp.oracle.exact.exact import exact, read_case, tie_names
     from contactqp.oracle.exact.exact_solution import answer_data, print_answer
 
-    asked = read_case(case)
-    answer = exact(asked, method)
+    with whereabouts() as shown, telling(shown):
+        asked = read_case(case)
+        answer = exact(asked, method)
     ties, title = tie_names(asked, answer.problem.ties), str(getattr(asked, "title", case))
     if as_json:
         print_json(answer_data(answer, ties, title))

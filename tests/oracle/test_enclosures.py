@@ -282,6 +282,20 @@ def test_the_least_eigenvalue_is_never_overestimated(seed: int) -> None:
     assert least_eigenvalue(sp.csc_matrix(matrix), uncertainty=truth) is None
 
 
+def test_a_matrix_that_rounding_may_make_singular_is_factorised_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not known of the matrix is as large as its least eigenvalue: no shift can prove it, and none is tried."""
+    made: list[int] = []
+    factors = refinement._factors
+    monkeypatch.setattr(refinement, "_factors", lambda matrix: (made.append(1), factors(matrix))[1])
+    chain = sp.csc_matrix(sp.diags([-np.ones(59), 2 * np.ones(60), -np.ones(59)], [-1, 0, 1]))
+    truth = 2 - 2 * np.cos(np.pi / 61)
+    assert least_eigenvalue(chain, uncertainty=0.6 * truth) is None
+    assert len(made) == 1
+    bound = least_eigenvalue(chain, uncertainty=0.4 * truth)
+    assert bound is not None
+    assert 0 < bound < 0.6 * truth
+
+
 @pytest.mark.parametrize("size", [3, 60, 2000])
 def test_the_least_eigenvalue_of_a_chain_sparse_or_dense(size: int) -> None:
     """Three unknowns are dense, more are not: 2 - 2 cos(pi / (n + 1))."""

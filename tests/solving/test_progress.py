@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.cli import output
+from contactqp.cli import main, output
 from contactqp.cli.solving import whereabouts
 from contactqp.linalg import multigrid
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.model import arrays
+from contactqp.scene.shipped import case_path
 from tests.blocks_in_space import fresh, on_paraboloid
 
 
@@ -86,3 +87,23 @@ def test_a_command_that_writes_to_a_file_shows_nothing(monkeypatch: pytest.Monke
     monkeypatch.setattr(output, "LONG", 0.0)
     with whereabouts() as show:
         assert show is None
+
+
+def test_an_enclosed_answer_says_where_it_is() -> None:
+    """Refinement and the proof take longer than the solution that they start from."""
+    told: list[str] = []
+    with arrays.telling(told.append):
+        cq.exact(cq.ContactProblem([[1575.0]], [300.0], [[1.0]], [0.125]), enclose=True)
+    assert "refine the answer, round 1" in told
+    assert told[-1] == "prove the contact set"
+
+
+def test_oracle_shows_on_a_terminal_where_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(output.sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(output, "LONG", 0.0)
+    with pytest.raises(SystemExit) as ended:
+        main(["oracle", str(case_path("bar_wall"))])
+    assert not ended.value.code
+    assert capsys.readouterr().err.startswith("\r\x1b[K0 s: ")

@@ -12,7 +12,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
-from contactqp.model.arrays import EPS, Indices
+from contactqp.model.arrays import EPS, Indices, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
@@ -99,6 +99,7 @@ def enclose(refined: Refined) -> Enclosure:
     floats too ill-conditioned), or a force or a gap is not proven to be positive (a contact that just touches).
     """
     problem, closed = refined.problem, refined.closed
+    tell("prove the contact set")
     bounds = regular(problem, closed, refined.first)
     scale, length, a, h, s, t = bounds.scale, bounds.length, bounds.a, bounds.h, bounds.s, bounds.t
     r1 = _norm(refined.imbalance, scale)

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Vector, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, Solution
 from contactqp.solving.solve import solve
@@ -159,6 +159,8 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
         return None
     for part in (0.5, 0.1):
         shift = part * estimate
+        if shift <= uncertainty + _forming(matrix, shift):
+            return None  # rounding alone is as large, which no factorisation takes away
         off = _left_out(matrix, shift)
         if off is not None and (bound := (shift - (off + uncertainty) * SAFE) / SAFE) > 0:
             return float(bound)
@@ -221,11 +223,16 @@ def _factors(matrix: Any) -> Any:
         return None
 
 
+def _forming(matrix: Any, shift: float) -> float:
+    """Return a bound of what rounding adds when the shift is taken off the matrix, and a product off that."""
+    return 4 * EPS * (largest_row_sum(matrix) + shift)
+
+
 def _left_out(matrix: Any, shift: float) -> float | None:
     """Return a bound of |R|_inf, None where the matrix less the shift is not found to be positive definite."""
     size = matrix.shape[0]
     shifted = sp.csc_matrix(matrix - shift * sp.identity(size, format="csc"))
-    forming = 4 * EPS * (largest_row_sum(matrix) + shift)
+    forming = _forming(matrix, shift)
     if _is_dense(shifted):
         parts = _left_out_of_dense(shifted)
         return None if parts is None else (sum(parts) + forming) * SAFE
@@ -329,6 +336,7 @@ def refine(
             return walk.refined(rounds, first)
         if rounds == MOST_ROUNDS or idle == MOST_IDLE_ROUNDS:
             break
+        tell(f"refine the answer, round {rounds + 1}")
         try:
             walk.step()
         except NotConverged as error:
