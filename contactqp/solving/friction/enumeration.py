@@ -49,6 +49,10 @@ SWEEPS, SHORTEST = 3, 1e-10
 REGULAR, SINGULAR = 1e-8, 1e-15
 # Signs that fail by this part of the contact's own lengths or force may be rounding; refinement tells.
 DOUBTFUL = 1e-8
+# Systems of at least this reciprocal condition are solved by their inverse, up to the second part of what is largest.
+WELL_CONDITIONED, OF_INVERSES = 1e-6, 1e-8
+# Signs that a combination of them proves to fail by the first part of their sizes fail; the proof holds to the second.
+PROVEN, OF_PROOFS = 1e-6, 1e-12
 # Of the sizes that a sum is made of, what rounding may leave of it; of compliances, which are beneath it.
 ROUNDING_OF_SIZES = 1e-12
 
@@ -89,6 +93,9 @@ class Combinations:
     def _of_batch(self, status: Status) -> Iterator[tuple[Status, Vector]]:
         matrix, right = self._assembled(status)
         row, column = _equilibrated(matrix)
+        doubtful = ~self._plainly_fail(status, matrix, right, row, column)
+        status, matrix, right = status[doubtful], matrix[doubtful], right[doubtful]
+        row, column = row[doubtful], column[doubtful]
         left, values, rotation = np.linalg.svd(row[:, :, None] * matrix * column[:, None, :])
         coordinates = np.einsum("bji,bj->bi", left, row * right)
         largest = values[:, :1] if values.shape[1] else np.ones((len(values), 1))
@@ -107,11 +114,37 @@ class Combinations:
                 if (found := self._with_signs(status[b], y[b], free, column[b])) is not None:
                     yield status[b], found
 
-    def _all_hold(self, status: Status, y: Array) -> Mask:
-        """Return which combinations (b, m) have solutions (b, q) with all signs, as `_signs` states them of one."""
+    def _plainly_fail(self, status: Status, matrix: Array, right: Vector, row: Array, column: Array) -> Mask:
+        """Return which combinations (b, m) have regular systems whose one solution misses signs by more than rounding.
+
+        Most do, and an inverse tells at a tenth of the price of singular values, which the others are left to.
+
+        Parameters
+        ----------
+        status : (b, m) states of the contacts
+        matrix, right : (b, q, q), (b, q), their systems
+        row, column : (b, q), factors that equilibrate them
+        """
+        scaled = row[:, :, None] * matrix * column[:, None, :]
+        regular = np.linalg.det(scaled) != 0
+        inverse = np.linalg.inv(np.where(regular[:, None, None], scaled, np.eye(scaled.shape[1])))
+        sizes = [np.max(np.sum(abs(part), axis=2), axis=1, initial=0.0) for part in (scaled, inverse)]
+        regular &= sizes[0] * sizes[1] < 1 / WELL_CONDITIONED
+        z = np.einsum("bij,bj->bi", inverse, row * right)
+        doubt = OF_INVERSES * np.max(abs(z), axis=1, initial=0.0)[:, None] * column
+        return np.asarray(regular & ~self._all_hold(status, column * z, doubt))
+
+    def _all_hold(self, status: Status, y: Array, doubt: Array | None = None) -> Mask:
+        """Return which combinations (b, m) have solutions (b, q) with all signs, as `_signs` states them of one.
+
+        Where y is known up to a doubt (b, q), signs that may hold do.
+        """
         m, rounding = status.shape[1], ROUNDING_OF_SIZES * np.max(abs(y), axis=1, initial=0.0)[:, None]
         off = self.base - self.target + y @ self.slope.T
         least = -DOUBTFUL * self._lengths - rounding * np.sum(abs(self.slope), axis=1)
+        if doubt is not None:
+            least = least - doubt @ abs(self.slope).T
+            rounding = rounding + np.max(doubt, axis=1, initial=0.0)[:, None]
         normal, tangential, of_forces = y[:, :m], y[:, m : 2 * m], DOUBTFUL * self._forces
         of_bound = self.coefficient * of_forces[:m] + of_forces[m:]
         room = self.coefficient * normal - abs(tangential)
@@ -182,6 +215,8 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
     rows, rest = np.column_stack([-slope * (step / size)[:, None], np.ones(len(room))]), (room + change @ start) / size
     if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(rest))):
         return start
+    if _proven_to_fail(rows[:, :-1], rest):
+        return start
     answer = linprog(
         np.append(np.zeros(count), -1.0),
         A_ub=rows,
@@ -190,6 +225,22 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
         method="highs",
     )
     return start if answer.x is None else np.asarray(start + step * scale * (free.T @ answer.x[:-1]))
+
+
+def _proven_to_fail(rows: Array, rest: Vector) -> bool:
+    """Return whether weights w >= 0 prove that rows c <= rest fails for every c: rows'w = 0 and rest'w < 0 (Farkas).
+
+    Weights of sum one show how far the best c fails; all but a few programs end here, at a tenth of their price.
+    """
+    from scipy.optimize import nnls
+
+    try:
+        weight, _ = nnls(np.vstack([rows.T, rest]), np.append(np.zeros(rows.shape[1]), -1.0))
+    except RuntimeError:  # too many steps
+        return False
+    total = float(np.sum(weight))
+    left = np.max(abs(rows.T @ weight), initial=0.0)
+    return bool(total > 0 and rest @ weight < -PROVEN * total and left <= OF_PROOFS * total)
 
 
 def _filled(size: Vector, other: float) -> Vector:

@@ -7,8 +7,12 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.certificate import holds
-from contactqp.model.coulomb import all_combinations
+from contactqp.linalg.condensation import condense
+from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.model.arrays import Array
+from contactqp.model.coulomb import Status, all_combinations
 from contactqp.model.solution import Answer
+from contactqp.solving.friction import enumeration
 from contactqp.solving.friction.enumeration import Combinations, _hold
 from tests.solving.friction.problems import TOUCH, one_contact, pad, random_problem, rough_truss, walls_that_conflict
 
@@ -222,3 +226,55 @@ def test_signs_of_many_combinations_are_those_of_each() -> None:
     one_by_one = [_hold(*systems._signs(combination), one) for combination, one in zip(status, y, strict=True)]
     assert 0 < sum(one_by_one) < len(status)
     assert systems._all_hold(status, y).tolist() == one_by_one
+
+
+def _drawn(seed: int) -> cq.ContactProblem:
+    """Three contacts on a body that is soft, floats or stands on integers, so that systems are regular and not."""
+    rng = np.random.default_rng(seed)
+    n, rank = int(rng.integers(2, 6)), int(rng.integers(0, 6))
+    if seed % 2:
+        half = rng.standard_normal((n, min(rank, n)))
+        K, N, T = half @ half.T, rng.standard_normal((3, n)), rng.standard_normal((3, n))
+    else:
+        K = np.diag(rng.integers(0, 3, n)).astype(float)
+        N, T = rng.integers(-1, 2, (3, n)).astype(float), rng.integers(-1, 2, (3, n)).astype(float)
+        N[~N.any(axis=1), 0] = 1.0
+    gap = np.where(rng.random(3) < 0.5, 0.0, rng.uniform(0, 0.3, 3))
+    friction = float(rng.choice([0.0, 0.5, 2.0]))
+    return cq.ContactProblem(K, rng.integers(-3, 4, n).astype(float), N, gap, tangent=T, friction=friction)
+
+
+def test_combinations_that_are_dropped_early_are_those_whose_signs_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Singular values and linear programs of all find the same; most of them are not needed."""
+    seeds = range(16)
+    dropped, proven = Combinations._plainly_fail, enumeration._proven_to_fail
+    programs: list[bool] = []
+    monkeypatch.setattr(enumeration, "_proven_to_fail", lambda *rows: programs.append(proven(*rows)) or programs[-1])
+    short = [_states(_drawn(seed)) for seed in seeds]
+    assert sum(programs) > 0.5 * len(programs) > 0
+
+    def nothing(self: Combinations, status: Status, *systems: Array) -> Array:
+        assert not (dropped(self, status, *systems) & self._all_hold(status, _by_least_squares(*systems))).any()
+        return np.zeros(len(status), dtype=bool)
+
+    monkeypatch.setattr(Combinations, "_plainly_fail", nothing)
+    monkeypatch.setattr(enumeration, "_proven_to_fail", lambda *_: False)
+    assert short == [_states(_drawn(seed)) for seed in seeds]
+    assert any(short)
+
+
+def test_signs_that_hold_by_a_narrow_margin_are_proven_by_no_weights() -> None:
+    between = np.array([[1.0], [-1.0]])  # c <= a and -c <= b
+    assert not enumeration._proven_to_fail(between, np.array([1.0, -1.0]))
+    assert not enumeration._proven_to_fail(between, np.array([1.0, -1.0 - 1e-7]))
+    assert enumeration._proven_to_fail(between, np.array([1.0, -1.0 - 1e-5]))
+
+
+def _states(problem: cq.ContactProblem) -> list[tuple[int, ...]]:
+    condensation = condense(problem)
+    rows = condensed_frictional_rows(problem, condensation)
+    return [tuple(status) for status, _ in enumeration._Systems(problem, condensation, rows).plausible()]
+
+
+def _by_least_squares(matrix: Array, right: Array, *_: Array) -> Array:
+    return np.array([np.linalg.lstsq(one, b, rcond=1e-12)[0] for one, b in zip(matrix, right, strict=True)])
