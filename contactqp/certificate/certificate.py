@@ -1,4 +1,4 @@
-"""The certificate: the figures, bounds and verdict of an answer, whoever found it. It imports no method."""
+"""The certificate: figures, error bounds and the verdict on an answer from any code. It imports no solution method."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_shaped, refuse_not_positive
 from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations
 
-# Forces and lengths that are smaller than this part of the tolerance times the intrinsic size are what the solver of an
-# answer leaves of zero: 1e-12 by default, and what is printed with seven digits, judged at 1e-6, is forgiven 1e-9.
+# Forces and lengths below this part of tolerance times intrinsic size count as zero, as solvers leave that much of
+# exact zeros: 1e-12 by default, and 1e-9 for an answer printed with seven digits and judged at 1e-6.
 ROUNDING_OF_ANSWERS = 1e-3
-# A relative error beyond which bounds are tried in another way where K is singular.
+# Where K is singular and the bound on the relative error exceeds this, bounds by the energy are tried as well.
 FAR = 1e-6
-# A gap of this part of the largest length is none that other lengths have left as their rounding.
+# A gap above this part of the largest length cannot be the rounding of other lengths.
 NO_ROUNDING = 1e-9
-# Largest figure at which signs count as satisfied: tighter than the certificate's, as rounding may add to it.
+# Largest figure that `holds` accepts. It is tighter than the certificate's tolerance, because rounding may add to it.
 HOLDS = 1e-10
-# The part of the intrinsic size that is nothing, less than the certificate's for the same reason.
+# Part of the intrinsic size that `holds` counts as zero, smaller than the certificate's for the same reason.
 NOTHING = 1e-13
-# Changes of the forces that are less than this part of them are as good as none.
+# Changes of the forces below this relative size are not mentioned in the notes.
 WORTH_SAYING = 1e-9
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
@@ -87,12 +87,12 @@ def compute_certificate(
     factorization: Condensation | None = None,
     prove_friction: bool = False,
 ) -> Certificate:
-    """Judge anyone's answer to a problem; signs are those of the problem and are never guessed.
+    """Judge an answer from any source; signs are those of the problem and are never guessed.
 
-    With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
-    slips. Another law's answer, such as that of the associated relaxation, is refused. Bounds are had where friction is
-    below a constant of the bodies, or of the equilibrium nearby (`frictional_bounds`); the certificate also says
-    whether other answers exist, as far as that can be told.
+    With friction, Coulomb's law is checked contact by contact, in the plane and in space: |l_T| <= mu l_N, and
+    l_T = mu l_N s/|s| where the contact slips. The answer of another law, such as the associated relaxation, is
+    refused. Error bounds exist where the friction coefficients are below a constant of the bodies or of the equilibrium
+    nearby (see `frictional_bounds`). The certificate also reports whether other equilibria exist, where this is known.
 
     Parameters
     ----------
@@ -104,16 +104,16 @@ def compute_certificate(
     tolerance : largest figure that passes
     error_tolerance : largest bound on the relative error that passes
     factorization : Condensation, optional
-        Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
-    prove_friction : whether bounds are looked for with friction, too, which condenses bodies
-        that were not, within the sizes of `contactqp.certificate.critical_friction`
+        Reused instead of factorising again; residuals are always computed from the problem itself.
+    prove_friction : whether error bounds are computed with friction, too; bodies that were not condensed
+        are condensed for this, up to the sizes stated in `contactqp.certificate.critical_friction`
 
     Raises
     ------
     InvalidProblem
-        Wrong shapes, missing forces, or an indefinite stiffness. NaN is no error here: it fails.
+        Wrong shapes, missing forces, or an indefinite stiffness. An answer with NaN is no error: it is refused.
     Unsupported
-        A body that is too large to factorise floats along motions that nobody has stated.
+        A body too large to factorise has rigid motions that `near_null_space` does not state.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def certificate_of(
     factorization: Condensation | None = None,
     prove_friction: bool = False,
 ) -> Certificate:
-    """Return the certificate of an answer whose shapes are those of the problem.
+    """Return the certificate of an answer whose arrays already have the shapes of the problem.
 
     Parameters
     ----------
@@ -168,18 +168,18 @@ def certificate_of(
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """Figures, bounds and states of an answer, before they are put into words."""
+    """All that is measured on an answer, from which `_worded` writes the certificate."""
 
     found: Violations  # every figure, entry by entry
     balance: float  # the work of the residual on rigid motions, relative to that of the forces
-    law: Vector | None  # (m,) by how much Coulomb's law is missed; None without friction
+    law: Vector | None  # (m,) the residual of Coulomb's law at each contact; None without friction
     bounds: Bounds
-    errors: tuple[str, ...]  # messages of failed bounds on the whole answer
+    errors: tuple[str, ...]  # one message for each bound on the whole answer that exceeds its tolerance
     fails_force_bound: bool  # whether the bound on the force of a contact is beyond the tolerance
     grazing: Mask  # (m,) contacts whose gap and force both vanish
     dependent: tuple[tuple[int, Indices], ...]  # ties that depend on others, each with these
-    others: Uniqueness  # whether other answers exist, with friction
-    state: StateVerdict  # what the verdict rests on, and with friction the answer of its own states
+    others: Uniqueness  # with friction: whether other equilibria exist
+    state: StateVerdict  # the basis of the verdict; with friction: the comparison with the answer of the same states
 
 
 def _judged(
@@ -206,9 +206,9 @@ def _judged(
 
 
 def _absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
-    """Yield the name of each part of an answer with an entry that no problem could cause, and that entry's place.
+    """Yield the name of each array of an answer with an absurdly large entry, and the index of that entry.
 
-    The answer is one to a problem whose numbers are near one.
+    The answer is given in units in which the numbers of its problem are near one.
     """
     for name, values in vars(answer).items():
         if values is not None and values.size and not abs(values).max() <= ABSURD:
@@ -223,7 +223,7 @@ def _measured(
     factorization: Condensation | None,
     prove_friction: bool,
 ) -> _Measured:
-    """Compute the figures and bounds of an answer and, with friction, what its own contact states say of it."""
+    """Compute figures and bounds of an answer; with friction, compare it with the exact answer of the same states."""
     with problem.lock:
         others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
         at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
@@ -288,7 +288,7 @@ def _measured(
 def _dependent_ties(
     problem: ContactProblem, condensation: Condensation | None, bounds: Bounds
 ) -> tuple[tuple[int, Indices], ...]:
-    """Return the ties that depend on others, each with these; without a condensation where that was noticed."""
+    """Return the dependent ties, each with those it depends on; without a condensation only if rows are redundant."""
     if condensation is not None:
         return dependent_ties(problem, condensation)
     return dependent_sparse_ties(problem) if bounds.redundant else ()
@@ -297,7 +297,7 @@ def _dependent_ties(
 def _worded(
     problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
 ) -> Certificate:
-    """Return the certificate: an answer passes if no figure, no law, no bound and no state yields a failure."""
+    """Return the certificate; the answer passes if no figure, law, bound or comparison of states yields a failure."""
     found, bounds, law = measured.found, measured.bounds, measured.law
     figures = {name: float(getattr(found, name).max(initial=0.0)) for name in FIGURES if name != "balance"}
     figures["balance"] = measured.balance
@@ -342,7 +342,7 @@ def _worded(
 
 
 def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> Iterator[str]:
-    """Yield a note where gaps that are no rounding of lengths around them count as nothing: the springs are weak."""
+    """Yield a note where a gap counts as zero although it is too large to be rounding, as beside very soft springs."""
     size = abs(problem.gap)
     hidden = (size > 0) & (size <= found.nothing.normal)
     if hidden.any():
@@ -354,7 +354,7 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
 
 
 def _friction_on_supports(problem: ContactProblem, answer: Answer) -> Iterator[str]:
-    """Yield a note where contacts stick along a tangent of zeros: supports take that friction, whatever it is."""
+    """Yield a note where contacts stick along a tangential row of zeros: supports carry that friction force."""
     if answer.friction_force is None or problem.friction is None or problem.tangent is None or not problem.contacts:
         return
     supported = np.diff(problem.tangent.indptr).reshape(problem.contacts, -1) == 0
@@ -365,7 +365,7 @@ def _friction_on_supports(problem: ContactProblem, answer: Answer) -> Iterator[s
 
 
 def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
-    """Return the notes of a certificate besides its verdict."""
+    """Return the notes of a certificate: they explain and do not change the verdict."""
     notes: list[str] = []
     if grazing.any():
         notes += messages.of_grazing(
@@ -398,7 +398,7 @@ def _residuals_and_bounds(
 ) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
     """Return residuals, bounds, the rigid motions of the bodies and their condensation.
 
-    The condensation is None where it does not retain all contacts.
+    The condensation is None unless it retains all contacts.
     """
     if systems is Systems.ITERATED:
         residual, by_products = plain_residuals(problem, answer), not problem.frictional
@@ -422,22 +422,22 @@ def _residuals_and_bounds(
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, tolerance: float) -> Mask:
-    """Return the contacts whose gap and force both vanish (m,).
+    """Return a mask (m,) of the contacts whose gap and force both vanish.
 
-    Among huge forces that cancel inside a stiff body a contact force may look like nothing at its own unknowns: where
-    the energy of the answer is known it must vanish against that too.
+    A contact force may be tiny beside huge forces that cancel inside a stiff body at the same unknowns. Where the
+    energy of the answer is known, the force must vanish beside that as well.
 
     Parameters
     ----------
     answer : Answer
     found : Violations
-        Its figures: gaps and forces in the sizes that meet there.
+        Its figures: gaps and forces relative to the lengths and forces that meet at the same place.
     compliance : (m,) array [length / force]
         `own_compliance` of each contact.
     bounds : Bounds
         Those of the answer; their `energy_scale` is 0 where the energy is not known.
     tolerance : float
-        The part of these sizes up to which a gap or a force vanishes.
+        Relative size up to which a gap or a force counts as zero.
     """
     vanish = found.force_measure <= tolerance
     if not vanish.any():
@@ -473,9 +473,9 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
 
 
 def holds(problem: ContactProblem, answer: Answer) -> bool:
-    """Return whether an answer satisfies equilibrium, contact and Coulomb's law by the certificate's measures.
+    """Return whether an answer satisfies equilibrium, contact and Coulomb's law as the certificate measures them.
 
-    The rigid part of the displacement is left out, and what is nothing beside the intrinsic size is excused.
+    Rigid motion in the displacement is ignored, and violations below `NOTHING` times the intrinsic size are accepted.
     """
     if not all_finite(answer):
         return False
@@ -487,7 +487,7 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
 
 
 def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:
-    """Return `holds` but for the balance of a body that is not factorised, by products in double precision.
+    """Return `holds` for a body too large to factorise, by products in doubles and without the balance of motions.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""`solve`: condense, run a method, expand, polish, certify; or iterate, or stay sparse, and certify.
+"""`solve` condenses a problem, runs a method on it, expands and polishes the answer, and certifies it.
 
-A problem of very many contacts is solved on a subset of them that grows until no other contact is penetrated.
+Large problems are iterated or stay sparse instead. With very many contacts, a subset of them is solved and enlarged
+until no other contact is penetrated.
 """
 
 from __future__ import annotations
@@ -69,16 +70,16 @@ from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
 from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
 from contactqp.solving.sparse_run import SPARSE, SparseRun, after, by_sparse_systems, has_sparse_systems
 
-# Arguments that every method has; all others are options of its own.
+# Arguments that all methods share; any other argument is an option of the method.
 OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
-# Exact routes to the same answer, tried in this order where that of the default method is refused: pivots that need no
-# anchors for bodies that float, textbook systems in the numbers of the problem, Clarabel, and sparse systems; these
-# first where there are more constraints than unknowns, or than MANY_PIVOTS. Pivots are at most PIVOTS and
-# PIVOTS_OF_A_ROW for each constraint, and among more than MOST_PIVOTS, of which each takes long, they are left out. At
-# last sparse systems are at most SYSTEMS and one for each constraint: a singular stiffness took hundreds in vain.
+# Where the answer of the default method is refused, other exact methods are tried in this order: Lemke's pivots, which
+# need no anchors for floating bodies; the textbook systems of Lagrange multipliers; Clarabel; and sparse systems, which
+# come first where constraints outnumber the unknowns or MANY_PIVOTS. The number of pivots is limited to PIVOTS plus
+# PIVOTS_OF_A_ROW for each constraint, and beyond MOST_PIVOTS constraints, where each takes long, pivoting is left out.
+# Sparse systems that come last are limited to SYSTEMS plus one for each constraint.
 PIVOTING = ("lemke", "lagrange-multiplier")
 MANY_PIVOTS, MOST_PIVOTS, PIVOTS, PIVOTS_OF_A_ROW, SYSTEMS = 100, 150, 200, 2, 20
-# The same with friction: algorithms that come to combinations of open, stick and slip in other ways.
+# With friction, other algorithms are tried, each of which arrives at a combination of open, stick and slip differently.
 FRICTIONAL_ROUTES = ("newton", "nsgs", "admm", "aclm", "enumeration")
 
 
@@ -117,44 +118,43 @@ def solve(
         "serial": in this process. "petsc": on all ranks of MPI, each of which calls this with the same problem and gets
         the same solution; `method` is "active-set".
     tolerance : float
-        Of the method, relative, on the nondimensional problem.
+        Relative tolerance of the method, on the nondimensional problem.
     condense : bool or "auto"
-        Whether the method sees the problem condensed onto its contact unknowns; "auto" does so wherever that is
-        smaller, and stays with sparse systems of all unknowns where constraints are so many, or K so far from seeing
-        everything, that these are predicted to cost less. True condenses there, too, with and without friction. False
-        makes "active-set" stay with sparse systems.
+        Whether the method is given the problem condensed onto its contact unknowns. "auto" condenses where this makes
+        the problem smaller, and keeps sparse systems of all unknowns where these are predicted to cost less: with many
+        constraints, or a stiffness that is zero in many directions. True condenses in these cases, too, with and
+        without friction; False makes "active-set" use sparse systems.
     polish : bool
-        Solve again, to the last digit, on the set of closed contacts that the method found; backends may have their
-        set corrected twice. `solution.raw` is the answer before it.
+        Whether the answer is computed again, to the last digit, on the set of closed contacts that the method found;
+        a backend's set may be corrected twice. `solution.raw` is the answer before polishing.
     time_limit : float, optional
-        Seconds for the call, for methods that can stop. It is looked at before each step and each factorisation, none
-        of which is interrupted; the certificate of what was found comes on top. Where the time is up before there is
-        an answer, NotConverged has the best so far, if any, in `solution`, whose bounds take as long again at most.
+        Largest duration of the call in seconds, for methods that can stop. It is checked before each step and each
+        factorisation, none of which is interrupted, and does not include the certificate. Where it is reached before
+        there is an answer, NotConverged is raised; its `solution` is the best answer so far, if there is any.
     max_iter : int, optional
-        Iterations of the method.
+        Largest number of iterations of the method.
     warm_start : Solution, optional
-        Of a problem with the same contacts.
+        Solution of a problem with the same contacts, from which the method starts.
     algorithm : str, optional
-        With friction, for methods of kind other than "classical enforcement", which have systems of stick and slip of
-        their own. By steps of the convex `method`: "tresca" (friction bounds of the step before), "aclm" (shifted
-        cones: Acary, Cadoux, Lemarechal, Malick 2011); in space Clarabel, SCS and cvxpy take cones, others polygons of
-        `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and Curnier
-        1991), "nsgs" (nonsmooth Gauss-Seidel), "ppa" (proximal points), "admm", "enumeration" (in the plane, at most
-        eight contacts). All are solved to the last digits on their combination of open, stick and slip, `polish` or
-        not, and `max_iter` counts their steps. Without a name Newton's method is tried first where there is a
-        `warm_start` and, in the plane, where contacts are many (in sparse systems); elsewhere, or where it fails, the
-        others are tried one after another. Where there are several equilibria one of them is returned, by enumeration
-        alone none: `certificate.uniqueness` says that there are or may be others, `contactqp.equilibria` lists them,
-        and `contactqp.exact_equilibria` in rational numbers.
-        "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`): it
-        is approximate by design, and its answer is returned although the certificate refuses it wherever something
-        slides.
+        The algorithm of friction, for all kinds of methods but "classical enforcement", whose own systems contain
+        stick and slip. In steps of the convex `method`: "tresca" (with the friction bounds of the step before), "aclm"
+        (shifted cones; Acary, Cadoux, Lemarechal, Malick 2011); in space Clarabel, SCS and cvxpy take cones, others
+        polygons of `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and
+        Curnier 1991), "nsgs" (nonsmooth Gauss-Seidel), "ppa" (proximal points), "admm", and "enumeration" (in the
+        plane, at most eight contacts). All end by solving to the last digit on their combination of open, stick and
+        slip, whatever `polish` is, and `max_iter` counts their steps. By default Newton's method is tried first where
+        there is a `warm_start` and, in the plane, where sparse systems are used; then the others, one after another.
+        Where there are several equilibria, one of them is returned (by "enumeration" none), and
+        `certificate.uniqueness` says that there are or may be others; `contactqp.equilibria` lists them, and
+        `contactqp.exact_equilibria` does so in rational numbers.
+        "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`). It
+        is approximate by design: its answer is returned although the certificate refuses it where anything slides.
     progress : callable, optional
-        Is called with a few words on what is done now, such as ``"condense"`` or ``"contact set 3: 577 closed"``,
-        whenever that changes. An exception that it raises ends the call.
+        Called with a short text on the current stage, such as ``"condense"`` or ``"contact set 3: 577 closed"``,
+        whenever the stage changes. An exception that it raises ends the call.
     **options
-        What the method names in its `options`: `penalty`, `tangential_penalty` and `perturbation` [force / length],
-        `update`, `solver`.
+        Options of the method, as listed in its `options`: `penalty`, `tangential_penalty` and `perturbation`
+        [force / length], `update`, `solver`.
 
     Raises
     ------
@@ -166,14 +166,13 @@ def solve(
     NotConverged, BackendFailed
         The method gave up; a last iterate, if any, is in `solution`.
     NotCertified
-        The method promises the exact answer and the certificate refuses what it returned. Before the default method
-        raises this, or NotConverged without friction, it tries other exact routes: Lemke's method, Lagrange
-        multipliers, Clarabel and sparse systems, with friction other algorithms. The first answer that is certified is
-        returned, and `work.routes` says so. It does not where `polish` is False, `max_iter` is given, `time_limit` is
-        over, or the bodies are too large to factorise, and without friction not where constraints are so many that
-        sparse systems came first.
+        The method is exact and the certificate refuses its answer. Before the default method raises this error, or
+        NotConverged without friction, it tries other exact methods: Lemke's, Lagrange multipliers, Clarabel and sparse
+        systems; with friction, other algorithms. The first certified answer is returned, and `work.routes` lists what
+        was tried. No other method is tried where `polish` is False, `max_iter` is given, `time_limit` is over, the
+        bodies are too large to factorise, or, without friction, sparse systems were used from the start.
     BackendMissing, Unsupported, InvalidProblem
-        The method is not installed, cannot do this, or an argument is wrong.
+        The method is not installed, does not support this problem, or an argument is wrong.
 
     Examples
     --------
@@ -218,7 +217,7 @@ def _solve_any(
 def _solve(
     problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
 ) -> Solution:
-    """Solve on another engine, in other units, with factors, on a subset of the contacts, or by the method as it is."""
+    """Solve on another engine, in other units, on a subset of the contacts or as it is; if it fails, by other methods."""
     condense, algorithm = same["condense"], same["algorithm"]
     options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
     problem.refuse_exchanged_arrays()
