@@ -217,7 +217,7 @@ def _solve_any(
 def _solve(
     problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
 ) -> Solution:
-    """Solve on another engine, in other units, on a subset of the contacts or as it is; if it fails, by other methods."""
+    """Solve on another engine, in other units, on a subset of the contacts or as it is; if this fails, otherwise."""
     condense, algorithm = same["condense"], same["algorithm"]
     options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
     problem.refuse_exchanged_arrays()
