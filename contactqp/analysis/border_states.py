@@ -24,8 +24,9 @@ from contactqp.analysis.rate_data import (
     errors_of,
     named,
     shape_of_tangents,
+    touch,
     turned_by_rounding,
-)
+)  # fmt: skip
 from contactqp.analysis.rate_systems import RateSystem
 from contactqp.analysis.slip_law import SlipLaw, is_at_bound, slips_that_begin
 from contactqp.linalg.condensation import Condensation, condense
@@ -170,8 +171,7 @@ def _beyond_doubles(
         return (on.doubles.normal_force, none, on.gaps, none), nothing, lengths, np.zeros(problem.contacts)
     scaled = condensed_frictional_rows(problem, condensation)
     start = Answer(answer.displacement, answer.normal, answer.tangent, answer.tie)
-    found = refined_in(problem, condensation, scaled, status, start)
-    if not found.regular:
+    if not (found := refined_in(problem, condensation, scaled, status, start)).regular:
         return None
     u, push = found.displacement.double(), found.normal_force.double()
     unit = condensation.unknown_scale
@@ -298,7 +298,7 @@ def decided_in_space(
     at_bound = np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push))
     system = RateSystem(problem, condense(problem), status, Parts(answer.displacement, push, slip, answer.tie_force))
     known = system.answer() if system.regular else None
-    sure = known is not None and known.bound is not None and system.touch(known, grazing)
+    sure = known is not None and known.bound is not None and touch(problem, known, grazing)
     if known is not None and sure:
         _, forces, drags, _ = known.extended
         sure = is_at_bound(problem.friction[at_bound], forces[at_bound], [drags[2 * at_bound + k] for k in (0, 1)])

@@ -23,7 +23,7 @@ from contactqp.analysis.gradients import (
     on_entries,
     rate_of_energy,
     value_of,
-)
+)  # fmt: skip
 from contactqp.analysis.rate_data import FREE, REDUNDANT, SAME, VECTORS, Direction, NoRates, Rates, errors_of
 from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
@@ -336,23 +336,26 @@ def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, 
     return Bounded.of(whole[0], whole[1], pair.bound_reason) if return_bound else whole[0]
 
 
-def _may_be_bounded(linearised: Linearised) -> bool:
-    """Return whether errors have bounds: those of a proven answer whose states and turns of slips are sure."""
-    return linearised.has_bounds and _is_proven(linearised.solution)
+def _may_be_bounded(linearised: Linearised, shared: bool = False) -> bool:
+    """Return whether errors have bounds: where an answer is proven, that on shared forces with friction on its own."""
+    if linearised.shares is not None and (shared or linearised.system is not None):
+        return linearised.system is not None and linearised.extended_answer is not None
+    return linearised.has_bounds and (_is_proven(linearised.solution) or linearised.stands)
 
 
 def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> str:
     """Return why rates, which contacts may share, have no bound; empty where they have one."""
     if bound is not None:
         return ""
-    if not _is_proven(linearised.solution):
-        reasons = linearised.solution.certificate.reasons
-        return "the answer is not proven" + (f": {reasons[0]}" if reasons else "")
+    if linearised.shares is not None and (shared or linearised.system is not None):
+        return SHARED
+    if not (_is_proven(linearised.solution) or linearised.stands):
+        return ": ".join(["the answer is not proven", *linearised.solution.certificate.reasons[:1]])
     if linearised.is_sparse:
         return "bounds follow from condensed contacts, and these are too many"
     if linearised.turns and linearised.sure:
         return IN_SPACE if linearised.system is None else UNTOLD
-    if linearised.redundant or linearised.shares or shared:
+    if linearised.redundant or shared:
         return SHARED
     if linearised.has_bounds:
         return GRAZES if linearised.solution.free_motions else UNREFINED
@@ -375,7 +378,8 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if (reason := linearised.irregular) is not None:
         return reason
     limited = parameter not in ("load", "stiffness") and not (along and linearised.sharings_are_few)
-    shared = of in FORCES and not (along and linearised.only(of))
+    told = along and linearised.shares is not None and linearised.system is None  # by the rates
+    shared = of in FORCES and not (told or (along and linearised.only(of)))
     if (linearised.redundant or linearised.shares) and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
@@ -409,17 +413,16 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         meet = abs(value_of(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
         same = abs(left - right) <= SAME * (meet + abs(linearised.solution.displacement) @ abs(direction.load))
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
-    reach = None
+    reach, shared = None, back.shared or ahead.shared
     if parameter in LINEAR and linearised.has_events:
         steps = linearised.events(back, -1.0), linearised.events(ahead, 1.0)
         reach = float(min(steps[0], default=np.inf)), float(min(steps[1], default=np.inf))
-    bound = None
-    seen = not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
-    if seen and _may_be_bounded(linearised):
+    bound, seen = None, not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
+    if seen and _may_be_bounded(linearised, shared):
         both = [_of_rates(linearised, of, rates, direction)[1] for rates in (back, ahead)]
         bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
-    without = _why_unbounded(linearised, bound, back.shared or ahead.shared)
-    return Derivative(right if same else None, left, right, same, bound, reach, reason, without)
+    why = _why_unbounded(linearised, bound, shared)
+    return Derivative(right if same else None, left, right, same, bound, reach, reason, why)
 
 
 def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:
@@ -494,5 +497,4 @@ def _free(solution: Solution) -> list[Vector]:
 
 def _moves(rows: Any, motions: list[Vector]) -> float:
     """Return 1 where a motion moves a row, more than its rounding, else 0."""
-    moved = (np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
-    return float(any(moved))
+    return float(any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions))

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import SINGULAR, Direction, NoRates, Parts, Rates
+from contactqp.analysis.rate_data import ROUNDED, SINGULAR, Direction, NoRates, Parts, Rates
 from contactqp.analysis.rates import Linearised
-from contactqp.analysis.slip_law import ROUNDED, times
+from contactqp.analysis.slip_law import times
 from contactqp.errors import InvalidProblem
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows

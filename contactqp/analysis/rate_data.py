@@ -1,20 +1,19 @@
-"""What rates are made of: directions, parts of data and of solutions, their scales, and factorised states."""
+"""What rates are made of: directions, parts of data and of solutions, their scales, and what these hold."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import condensed_frictional_rows
-from contactqp.linalg.dense import saddle_point, unknown_scale
-from contactqp.linalg.extended import Extended, two_product
-from contactqp.linalg.friction_states import StateSystem, slip_directions
+from contactqp.certificate.critical_friction import critical_friction
+from contactqp.errors import Unsupported
+from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
+from contactqp.linalg.refinement import INVISIBLE, ROUNDED_AWAY
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -26,6 +25,8 @@ VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Rates that differ by this part of the largest, in the square root of energy, are one.
 SAME = 1e-9
+# What sums of products in twice double precision are off by, as parts of their terms.
+ROUNDED = 2.0**-92
 # Contacts that are named in a reason.
 SHOWN = 5
 # Why there are no rates.
@@ -266,73 +267,6 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     return errors.reshape(getattr(rates, of).shape)
 
 
-class FactorisedStates(Protocol):
-    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
-
-    @property
-    def contraction(self) -> float | None:
-        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        """Return a solution in double precision."""
-
-
-class Frictionless:
-    """The saddle point of closed contacts and ties, which is symmetric."""
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: NDArray[np.intp]) -> None:
-        self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
-        self._saddle = saddle_point(condensation, closed)
-        self.redundant = self._saddle.redundant
-
-    @property
-    def contraction(self) -> float | None:
-        return self._saddle.contraction
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        del transposed
-        data = left.displacement, left.normal[self._closed], left.tie
-        du, dl, tie = self._condensation.correction(self._saddle, *data)
-        normal = np.zeros(self._contacts)
-        normal[self._closed] = dl
-        return Parts(du, normal, np.zeros_like(left.tangent), tie)
-
-
-class Frictional:
-    """The system of one combination of open, stick and slip at an answer.
-
-    Parameters
-    ----------
-    problem, condensation : with friction, and its condensation
-    status : (m,) array of int, the combination
-    answer : displacement and forces, and slips in place of friction
-    """
-
-    contraction: float | None = None  # of corrections by dense factors, which cost little
-
-    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
-        rows = condensed_frictional_rows(problem, condensation)
-        self._problem, self._shape = problem, shape_of_tangents(problem)
-        slip = answer.tangent.ravel()
-        self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
-        self._system = StateSystem(condensation, rows, status, self.directions, scaled)
-        self.regular = self._system.regular
-        across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
-        turns = np.zeros(self._shape[0])
-        if scaled is not None and problem.friction is not None:
-            size = np.linalg.norm(answer.tangent, axis=1)
-            turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
-        self.turns, self.turning = turns, turns[:, None, None] * across  # (m,), (m, d-1, d-1)
-
-    def correct(self, left: Parts, transposed: bool) -> Parts:
-        data = left.displacement, left.normal, left.tangent.ravel(), left.tie
-        return Parts.of(self._system.correct(*data, transposed=transposed))
-
-    def unresolved(self) -> list[Parts]:
-        """Return a basis of what may be added to solutions."""
-        return [Parts.of(one) for one in self._system.unresolved()]
-
-
 def closed_on(problem: ContactProblem, contacts: Indices) -> Status:
     """Return states (m,) in which these contacts alone are closed, without friction."""
     return np.where(np.isin(np.arange(problem.contacts), contacts), SLIP_ON, OPEN).astype(np.int8)
@@ -370,6 +304,19 @@ def rates_at_rest(problem: ContactProblem, begins: Indices, holds: Indices, stat
         tangent=problem.tangent[along], friction=problem.friction[begins], tie=tie, tie_value=np.zeros(tie.shape[0]),
         near_null_space=problem.near_null_space,
     )  # fmt: skip
+
+
+def begin_in_one_way(problem: ContactProblem, begins: Indices, holds: Indices, status: Status) -> bool:
+    """Return whether contacts that graze, unslipped, are known to have one answer to every change of data.
+
+    Parameters
+    ----------
+    problem, begins, holds, status : as in `rates_at_rest`
+    """
+    try:
+        return critical_friction(rates_at_rest(problem, begins, holds, status)).unique
+    except Unsupported:
+        return False
 
 
 def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> ContactProblem:
@@ -473,3 +420,57 @@ def signs_hold(
     signs = np.concatenate([found.normal_force[closing], found.gap[opening]])
     signs += margin * np.concatenate([found.bound.normal[closing], off[opening]])
     return bool(np.all(signs > 0 if margin < 0 else signs >= 0))
+
+
+def _gaps_of(problem: ContactProblem, known: Solved) -> tuple[Vector, Vector]:
+    """Return the gaps (m,) of an answer, 0 for infinite ones, and what refinement leaves of them."""
+    u = known.extended[0]
+    given = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
+    moved = known.remainder * unknown_scale(problem) + ROUNDED * abs(u.hi)
+    nothing = abs(problem.normal) @ moved + ROUNDED * abs(given)
+    return (extend(given) - extended_rows(problem).normal @ u).double(), nothing
+
+
+def touch(problem: ContactProblem, known: Solved, contacts: Indices) -> bool:
+    """Return whether gaps of an answer are none to twice double precision."""
+    gaps, nothing = _gaps_of(problem, known)
+    return bool(np.all(abs(gaps[contacts]) <= nothing[contacts] * (ROUNDED_AWAY / INVISIBLE)))
+
+
+def parts_from(problem: ContactProblem, known: Solved, touching: Indices, closed: Indices) -> bool:
+    """Return whether an answer opens what does not touch, and what is not closed though it touches does so.
+
+    Parameters
+    ----------
+    problem, known : and the answer beyond doubles
+    touching, closed : contacts that touch, and those of them that the answer is held by
+    """
+    gaps, nothing = _gaps_of(problem, known)
+    apart = np.setdiff1d(np.flatnonzero(np.isfinite(problem.gap)), touching)
+    return touch(problem, known, np.setdiff1d(touching, closed)) and bool(np.all(gaps[apart] > nothing[apart]))
+
+
+def all_held(
+    problem: ContactProblem, u: Extended, moved: Vector, data: Parts, places: tuple[Indices, Indices]
+) -> bool:  # fmt: skip
+    """Return whether what is closed, sticks or is tied is where data say, to twice double precision.
+
+    Parameters
+    ----------
+    problem, u : and the displacement (n,)
+    moved : (n,) array, what refinement leaves of it, with rounding
+    data : what gaps, slips and ties are to be
+    places : the contacts that are closed, and that stick
+    """
+    exact, width = extended_rows(problem), data.tangent.shape[1]
+    along = np.add.outer(width * places[1], np.arange(width)).ravel()
+    for rows, held, given, where in (
+        (problem.normal, exact.normal @ u, data.normal, places[0]),
+        (problem.tangent, exact.slip(u), data.tangent.ravel(), along),
+        (problem.tie, exact.tie @ u, data.tie, np.arange(problem.ties)),
+    ):
+        if rows is not None and len(where):
+            nothing = (abs(rows) @ moved + ROUNDED * abs(given)) * (ROUNDED_AWAY / INVISIBLE)
+            if np.any(abs((extend(given) - held).double()[where]) > nothing[where]):
+                return False
+    return True

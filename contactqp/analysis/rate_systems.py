@@ -23,21 +23,21 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.rate_data import (
+    ROUNDED,
     Direction,
-    FactorisedStates,
-    Frictional,
-    Frictionless,
     Parts,
     Rates,
     Solved,
+    all_held,
+    parts_from,
     shape_of_tangents,
     signs_hold,
     with_reaction,
-)
-from contactqp.analysis.slip_law import ROUNDED, SlipLaw, times
+)  # fmt: skip
+from contactqp.analysis.slip_law import FactorisedStates, Frictional, Frictionless, SlipLaw, times
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
-from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY
+from contactqp.linalg.refinement import CAUTION, INVISIBLE
 from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -67,6 +67,7 @@ class RateSystem:
     condensation : Condensation, that of the problem
     status : (m,) array of int, the combination: OPEN, STICK, SLIP_BACK or SLIP_ON
     answer : Parts, displacements and forces whose rates are asked for
+    independent : whether of rows with friction that depend on others, to be held by these, only as many act
 
     Attributes
     ----------
@@ -81,14 +82,18 @@ class RateSystem:
 
     across: tuple[NDArray[np.intp], Array, Vector] | None = None
 
-    def __init__(self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts) -> None:
+    def __init__(
+        self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts,
+        independent: bool = False,
+    ) -> None:  # fmt: skip
         self._problem, self._exact, self.status = problem, extended_rows(problem), status
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._unit, self._answer, self._condensation = condensation.unknown_scale, answer, condensation
+        self._independent = independent
         with_friction = problem.frictional
         self._system: FactorisedStates
         if with_friction:
-            frictional = Frictional(problem, condensation, status, answer)
+            frictional = Frictional(problem, condensation, status, answer, independent)
             self._system, self.regular, self.redundant = frictional, frictional.regular, False
             self.directions, self.turning, turns = frictional.directions, frictional.turning, frictional.turns
         else:
@@ -122,6 +127,8 @@ class RateSystem:
         once = transposed and not bounded and len(right.displacement) > LARGE
         foreseen = self._system.contraction if once else None
         solved = self._refined([Extended(np.zeros(part.size)) for part in given], left, transposed, foreseen)
+        if self._independent and not (transposed or self._holds(solved, right)):
+            return replace(solved, bound=None, remainder=np.inf)
         if not (bounded and self.law.off.any() and np.isfinite(solved.remainder)):
             return solved
         remainder = solved.remainder + self._spread(self._rest_of_law(solved.found, transposed), transposed)
@@ -256,24 +263,18 @@ class RateSystem:
 
         Each of them pushes, the others that touch do so to twice double precision, and all that do not are open.
         """
-        found, apart = known.found, np.setdiff1d(np.flatnonzero(np.isfinite(self._problem.gap)), touching)
-        if known.bound is None or not np.all(found.normal[self.closed] > known.bound.normal[self.closed]):
+        if known.bound is None or not np.all(known.found.normal[self.closed] > known.bound.normal[self.closed]):
             return False
-        gaps, nothing = self._gaps_of(known)
-        return self.touch(known, np.setdiff1d(touching, self.closed)) and bool(np.all(gaps[apart] > nothing[apart]))
+        return parts_from(self._problem, known, touching, self.closed)
 
-    def touch(self, known: Solved, contacts: NDArray[np.intp]) -> bool:
-        """Return whether gaps of an answer are none to twice double precision."""
-        gaps, nothing = self._gaps_of(known)
-        return bool(np.all(abs(gaps[contacts]) <= nothing[contacts] * (ROUNDED_AWAY / INVISIBLE)))
+    def of_independent_rows(self) -> RateSystem:
+        """Return the system on as many rows as are independent; it has bounds where all of them are held."""
+        return RateSystem(self._problem, self._condensation, self.status, self._answer, True)
 
-    def _gaps_of(self, known: Solved) -> tuple[Vector, Vector]:
-        """Return the gaps (m,) of an answer, 0 for infinite ones, and what refinement leaves of them."""
-        problem, u = self._problem, known.extended[0]
-        given = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
-        moved = known.remainder * self._unit + ROUNDED * abs(u.hi)
-        nothing = abs(problem.normal) @ moved + ROUNDED * abs(given)
-        return (extend(given) - self._exact.normal @ u).double(), nothing
+    def _holds(self, solved: Solved, right: Parts) -> bool:
+        """Return whether a solution holds all that is closed, and sticks, as data say, to twice double precision."""
+        left = min(solved.remainder, np.finfo(float).max) * self._unit + ROUNDED * abs(solved.extended[0].hi)
+        return all_held(self._problem, solved.extended[0], left, right, (self.closed, self.stuck))
 
     def answer(self) -> Solved:
         """Return the answer, solution for the problem's own data, with the friction of slips.
@@ -316,7 +317,7 @@ class RateSystem:
         found = Parts(
             rounded[0], rounded[1], slip_of(solved.extended[0]).double().reshape(self.directions.shape), start.tie
         )
-        self._system = frictional = Frictional(problem, self._condensation, self.status, found)
+        self._system = frictional = Frictional(problem, self._condensation, self.status, found, self._independent)
         self.directions, self.turning = frictional.directions, frictional.turning
         solved = self._refined([Extended(part) for part in rounded], left, False)
         if not (frictional.regular and np.isfinite(solved.remainder)):

@@ -19,6 +19,7 @@ them.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 
@@ -36,7 +37,7 @@ from contactqp.analysis.border_states import (
     sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, refuse_many
+from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
     SAME,
@@ -48,9 +49,10 @@ from contactqp.analysis.rate_data import (
     Scales,
     Solved,
     at_border,
+    begin_in_one_way,
     closed_on,
     named,
-    rates_at_rest,
+    parts_from,
     rates_posed,
     repeated,
     shape_of_tangents,
@@ -59,7 +61,6 @@ from contactqp.analysis.rate_data import (
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
 from contactqp.certificate import bounds
-from contactqp.certificate.critical_friction import critical_friction
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
@@ -188,10 +189,7 @@ class Linearised:
         return self._sharing.takes_part(np.isin(self._touching, self.grazing))
 
     def _sharing_with_friction(self, slid: Mask) -> FrictionSharing | None:
-        """Return the contacts with friction, and ties, that share forces; None where none do, or too many touch.
-
-        Where all states that can exert the forces hold the same, such contacts are at no border.
-        """
+        """Return the contacts with friction, and ties, that share forces; None where none do, or too many touch."""
         if (self.system is not None and self.system.regular) or len(self._touching) > MOST_SHARING:
             return None
         forces = Parts(self._answer.displacement, self.push, self._drag, self._answer.tie)
@@ -201,8 +199,9 @@ class Linearised:
         if found.is_steady and not len(others := np.setdiff1d(self.undecided, found.members)):
             system = self._system(found.steady)
             if not found.moves(system):
-                self.status, self.system, self.closed = found.steady, system, np.flatnonzero(found.steady != OPEN)
-                self.undecided = self.grazing = self._at_bound = others
+                self.status, self.closed = found.steady, np.flatnonzero(found.steady != OPEN)
+                self.system = system if system.regular else system.of_independent_rows()
+                self.undecided = self.grazing = self._at_bound = others  # they are at no border
                 return found
         return found if self.system is None and not self._in_space else None
 
@@ -243,7 +242,8 @@ class Linearised:
     @property
     def has_events(self) -> bool:
         """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
-        return not (self.turns or self.shares) and (not self.redundant or not self.is_sparse or self.sharings_are_few)
+        turns = self.turns or (self.shares is not None and self._in_space)
+        return not turns and (not (self.redundant and self.is_sparse) or self.sharings_are_few)
 
     @property
     def turns(self) -> bool:
@@ -258,10 +258,20 @@ class Linearised:
     @property
     def has_bounds(self) -> bool:
         """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
-        if self.shares is not None or not (self.turns or self.redundant):
-            return self.shares is None and self.sure
+        if not (self.turns or self.redundant):
+            return self.sure
         known = self.extended_answer
         return (self.redundant or self.sure) and known is not None and known.bound is not None
+
+    @cached_property
+    def stands(self) -> bool:
+        """Return whether contacts with friction, that do not slip in space, are in their states beyond doubles."""
+        asked = self.problem.frictional and self.sure and (self.shares is None or self.system is None)
+        known = self.extended_answer if asked else None
+        if known is None or not parts_from(self.problem, known, self._touching, self.closed):
+            return False
+        others = np.setdiff1d(np.arange(self.problem.contacts), self.undecided)
+        return states_hold(self.problem, self.status, known, self._slip, others)
 
     def only(self, of: str) -> bool:
         """Return whether normal or tie forces are unique although contacts or ties are redundant."""
@@ -298,12 +308,9 @@ class Linearised:
         """Return whether contacts that may begin to slip in space, alone, have one answer to every change of data."""
         others, mu = np.setdiff1d(self.closed, self.borders.free), self.problem.friction
         assert mu is not None
-        if len(self.borders.free) < len(self.undecided) or np.any((self.status[others] != STICK) & (mu[others] > 0)):
-            return False
-        try:
-            return critical_friction(rates_at_rest(self.problem, self.borders.free, others, self.status)).unique
-        except Unsupported:
-            return False
+        slips = np.any((self.status[others] != STICK) & (mu[others] > 0))
+        alone = len(self.borders.free) == len(self.undecided) and not slips
+        return alone and begin_in_one_way(self.problem, self.borders.free, others, self.status)
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.
@@ -314,6 +321,9 @@ class Linearised:
             There are none towards a side, or several.
         """
         if self.shares is not None:
+            with suppress(NoRates):  # at a border, where forces are unique, they have rates; else its states refuse it
+                if self.system is None:
+                    return self._among_states(direction.reversed()).reversed(), self._among_states(direction)
             return self.shares.sides(direction, self.system, self.borders, self._system, self._in_states)
         shifted = self._is_shifted(direction)
         if self.system is not None and not shifted:
@@ -340,8 +350,7 @@ class Linearised:
     def _in_states(self, system: RateSystem, direction: Direction) -> Rates:
         """Return the rates in one combination of states."""
         known = self.extended_answer if direction.by_answer or system.turns else None
-        found = system.rates(direction, self.push, known)
-        if found is None:
+        if (found := system.rates(direction, self.push, known)) is None:
             raise NoRates(SINGULAR)
         return found
 
@@ -350,6 +359,8 @@ class Linearised:
         """The answer in twice double precision, from the system of its states."""
         if self.is_sparse:
             return None
+        if self.shares is not None and self.system is not None:
+            return self.shares.answer(self.system)
         if self.redundant:
             carried = self._carrying(np.zeros_like(self.push), np.zeros(self.problem.ties))
             return None if carried is None else carried[1]
@@ -454,24 +465,8 @@ class Linearised:
         return without if exact is None else replace(exact, status=rates.status, shared=rates.shared)
 
     def _among_states(self, direction: Direction) -> Rates:
-        """Return the rates with friction in the plane of the one combination of states that they lead to."""
-        holding: list[Rates] = []
-        for status in self.borders.combinations():
-            begins = self.borders.free[status[self.borders.free] == SLIP_ON]
-            turned = self.borders.turned(status, begins, direction, self._system, self._in_states)
-            for system in turned if len(begins) else [self._system(status)]:
-                if not system.regular:
-                    refuse_many(self.borders, system, direction, self._in_states)
-                    continue
-                found = self._in_states(system, direction)
-                known = any(self.scales.are_one(found, other) for other in holding)
-                if not known and self.borders.hold(found, direction, system):
-                    holding.append(found)
-        if len(holding) != 1:
-            none = "no rates were found that continue" if len(self.borders.free) else "no rates continue"
-            count = "several rates continue" if holding else none
-            raise NoRates(f"{count} the answer: {named(self.problem, self.undecided)} may change its state")
-        return holding[0]
+        """Return the rates with friction of the one combination of states that they lead to."""
+        return among_states(self.borders, direction, self._system, self._in_states)
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
         """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
@@ -493,7 +488,11 @@ class Linearised:
         now = StateMargins(self._gap, self.push, self._drag, self._slip)
         mu, of = (self.problem.friction, self.undecided) if self.problem.frictional else (None, self.grazing[:0])
         rests = np.array([i for i in of if STICK in self.borders.choices(int(i))], dtype=np.intp)
-        yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests, self._at_bound)
+        if self.shares is not None and rates.shared:
+            shared = rates if sign > 0 else rates.reversed()
+            yield from self.shares.events(shared, now, self.grazing, rests, self._at_bound)
+        else:
+            yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests, self._at_bound)
 
     def at_border(self) -> str:
         """Return which contacts are at a border, in words."""

@@ -1,4 +1,4 @@
-"""The law of slips in space as it changes, and the slips with which contacts begin.
+"""The law of slips in space as it changes, the slips with which contacts begin, and the factors that correct rates.
 
 In space friction turns with the slip s: of a contact that slips mu l_N t changes at the rate mu dl_N t + C ds, with
 t = s/|s| and C = mu l_N / |s| (I - t t'). Both are those of the exact answer, which doubles round: taken at an answer
@@ -8,16 +8,21 @@ in twice double precision they are known as well as this is.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from contactqp.analysis.rate_data import ROUNDED, Parts, shape_of_tangents
+from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.delassus import condensed_frictional_rows
+from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import Extended, two_product, two_sum
+from contactqp.linalg.friction_states import StateSystem, slip_directions
 from contactqp.linalg.refinement import ROUNDED_AWAY
 from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
+from contactqp.model.problem import ContactProblem
 
-# What sums of products in twice double precision are off by, as parts of their terms.
-ROUNDED = 2.0**-92
 # Sweeps over contacts that begin to slip, at most, and the part of each slip that the last may change: a start of
 # Newton's method.
 MOST_SWEEPS, SETTLED = 200, 1e-6
@@ -209,3 +214,73 @@ def _slips_of_one(friction: float, push: float, drag: Vector, by_push: Vector, b
         if size > 0:
             found.append((float(np.linalg.norm(rest + size * slope)), size * t))
     return [slip for _, slip in sorted(found, key=lambda pair: pair[0])]
+
+
+class FactorisedStates(Protocol):
+    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
+
+    @property
+    def contraction(self) -> float | None:
+        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        """Return a solution in double precision."""
+
+
+class Frictionless:
+    """The saddle point of closed contacts and ties, which is symmetric."""
+
+    def __init__(self, problem: ContactProblem, condensation: Condensation, closed: Indices) -> None:
+        self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
+        self._saddle = saddle_point(condensation, closed)
+        self.redundant = self._saddle.redundant
+
+    @property
+    def contraction(self) -> float | None:
+        return self._saddle.contraction
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        del transposed
+        data = left.displacement, left.normal[self._closed], left.tie
+        du, dl, tie = self._condensation.correction(self._saddle, *data)
+        normal = np.zeros(self._contacts)
+        normal[self._closed] = dl
+        return Parts(du, normal, np.zeros_like(left.tangent), tie)
+
+
+class Frictional:
+    """The system of one combination of open, stick and slip at an answer.
+
+    Parameters
+    ----------
+    problem, condensation : with friction, and its condensation
+    status : (m,) array of int, the combination
+    answer : displacement and forces, and slips in place of friction
+    independent : whether of rows that depend on others only as many act as are independent
+    """
+
+    contraction: float | None = None  # of corrections by dense factors, which cost little
+
+    def __init__(
+        self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts, independent: bool
+    ) -> None:
+        rows = condensed_frictional_rows(problem, condensation)
+        self._problem, self._shape = problem, shape_of_tangents(problem)
+        slip = answer.tangent.ravel()
+        self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
+        self._system = StateSystem(condensation, rows, status, self.directions, scaled, independent)
+        self.regular = self._system.regular
+        across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
+        turns = np.zeros(self._shape[0])
+        if scaled is not None and problem.friction is not None:
+            size = np.linalg.norm(answer.tangent, axis=1)
+            turns = np.divide(problem.friction * answer.normal, size, out=turns, where=scaled > 0)
+        self.turns, self.turning = turns, turns[:, None, None] * across  # (m,), (m, d-1, d-1)
+
+    def correct(self, left: Parts, transposed: bool) -> Parts:
+        data = left.displacement, left.normal, left.tangent.ravel(), left.tie
+        return Parts.of(self._system.correct(*data, transposed=transposed))
+
+    def unresolved(self) -> list[Parts]:
+        """Return a basis of what may be added to solutions."""
+        return [Parts.of(one) for one in self._system.unresolved()]

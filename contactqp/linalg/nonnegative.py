@@ -12,6 +12,7 @@ Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -345,14 +346,25 @@ class Sharing:
 
     def reach(self, resultant: Vector, rate: Vector) -> float:
         """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
-        from scipy.optimize import linprog
+        return longest_step(self._basis @ self.rows.T, self._told(resultant), self._told(rate), self._limits)
 
-        told, turns = self._told(resultant), self._told(rate)
-        size, speed = (float(np.max(abs(one), initial=0.0)) or 1.0 for one in (told, turns))
-        span = np.column_stack([self._basis @ self.rows.T, -turns / speed])
-        cost = np.append(np.zeros(len(self._limits)), -1.0)
-        most = linprog(cost, A_eq=span, b_eq=told / size, bounds=[*self._limits, (0.0, None)])
-        return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
+
+def longest_step(span: Array, told: Vector, turns: Vector, limits: Sequence[tuple[float | None, None]]) -> float:
+    """Return the largest step x for which span forces = told + x turns has forces within limits; 0 where it has none.
+
+    Parameters
+    ----------
+    span : (r, q) array
+    told, turns : (r,) arrays, what is exerted and how it changes
+    limits : q pairs, the least and the largest of each force, None where there is none
+    """
+    from scipy.optimize import linprog
+
+    size, speed = (float(np.max(abs(one), initial=0.0)) or 1.0 for one in (told, turns))
+    cost = np.append(np.zeros(len(limits)), -1.0)
+    equations = np.column_stack([span, -turns / speed])
+    most = linprog(cost, A_eq=equations, b_eq=told / size, bounds=[*limits, (0.0, None)])
+    return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
 
 
 def _rank(rows: Array) -> int:

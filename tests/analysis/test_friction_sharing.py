@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_sharing
+from contactqp.analysis import friction_groups, rate_systems
 from contactqp.analysis.rate_data import REDUNDANT
 
 K = np.array([[4.0, 1.0], [1.0, 3.0]])
@@ -29,14 +30,13 @@ def test_a_node_in_a_corner_sticks_however_its_walls_share_the_load(force: float
     problem = problem.replace(stiffness=K * force / length, load=problem.load * force)
     answer = cq.solve(problem)
     assert "forces not unique" in answer.certificate.uniqueness
-    for name, direction, moved in (
-        ("load", [1.0, 1.0], [0.0, 0.0]), ("friction", [1.0, 2.0], [0.0, 0.0]), ("stiffness", np.eye(2), [0.0, 0.0]),
-        ("gap", [1.0, 1.0], [length, -length]),
+    for name, direction, moved, unit in (
+        ("load", [1.0, 1.0], [0.0, 0.0], length / force), ("friction", [1.0, 2.0], [0.0, 0.0], length),
+        ("stiffness", np.eye(2), [0.0, 0.0], length**2 / force), ("gap", [1.0, 1.0], [1.0, -1.0], 1.0),
     ):  # fmt: skip
         found = answer.derivative("displacement", name, direction)
-        assert found.bound is None
-        # Along gaps the slips of the other wall make it slip, or open: that has two sides.
-        assert name == "gap" or found.value == pytest.approx(moved, abs=1e-12 * length)
+        assert np.all(abs(found.value - moved) <= found.bound)
+        assert np.max(found.bound) <= 1e-14 * unit
     load = answer.derivative("reaction", "load", [1.0, 1.0])
     assert load.value == pytest.approx([1.0, 1.0])
     for of in ("normal_force", "friction_force"):
@@ -67,6 +67,7 @@ def test_the_same_floor_twice_has_the_rates_of_one(pull: float) -> None:
                 sides = [truth.derivative(of, name, [size]) for size in (3.0, 1.0)]
                 exact = sides[0].left, sides[1].right
             elif name == "friction" and pull == 0.75:  # what slips would take more or less, as forces are shared
+                assert found.reason == REDUNDANT
                 continue
             else:
                 side = truth.derivative(of, name, of_one)
@@ -114,7 +115,7 @@ def test_other_states_that_exert_the_same_force_are_not_overlooked(
 ) -> None:
     """Taken for steady, the floor that may let go would have the rates of one that sticks."""
     if blind:
-        monkeypatch.setattr(friction_sharing._Group, "is_steady", lambda *_: True)
+        monkeypatch.setattr(friction_groups.Group, "is_steady", lambda *_: True)
     smooth = cq.solve(node([0.2, -3.0], FLOOR, FLOOR, friction=[0.3, 0.0]))
     assert (smooth.derivative("displacement", "load", [1.0, 0.0]).value is None) != blind
 
@@ -135,7 +136,8 @@ def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
     assert held.contact_status.tolist() == ["stick", "stick"]
     found = held.derivative("displacement", "load", [1.0, 1.0, 1.0])
     assert found.value == pytest.approx([0.0, 0.0, 0.0], abs=1e-14)
-    assert (found.bound, found.reach) == (None, None)
+    assert np.max(found.bound) < 1e-15
+    assert found.reach is None  # cones in space are no polyhedra
     assert held.derivative("reaction", "load", [1.0, 2.0, 3.0]).value == pytest.approx([1.0, 2.0, 3.0])
     assert held.derivative("normal_force", "load", [1.0, 1.0, 1.0]).reason == REDUNDANT
     assert held.derivative("displacement", "gap", [1.0, 1.0]).reason == REDUNDANT
@@ -149,8 +151,8 @@ def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
 def test_slips_that_may_begin_in_space_are_not_overlooked(blind: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two floors the smooth one may take so much that the other lets go, in the direction of what pulls."""
     if blind:
-        monkeypatch.setattr(friction_sharing._Group, "may_move", lambda *_: False)
-        monkeypatch.setattr(friction_sharing._Group, "is_steady", lambda *_: True)
+        monkeypatch.setattr(friction_groups.Group, "may_move", lambda *_: False)
+        monkeypatch.setattr(friction_groups.Group, "is_steady", lambda *_: True)
     normal, tangent = IN_SPACE[0]
     floors = [normal] * 2, [0.0, 0.0], tangent * 2, [0.3, 0.0]
     smooth = cq.solve(cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), [0.2, 0.1, -3.0], *floors))
@@ -208,3 +210,104 @@ def test_rates_where_forces_are_shared_are_differences_of_answers(first: int) ->
     assert seen["load True"] >= 4
     assert seen["load False"] <= 1  # a tie that presses a contact without force against its wall may hold any friction
     assert seen["gap True"] + seen["friction True"] >= 5
+
+
+def rate_of(problem: cq.ContactProblem, of: str, name: str, step: Any) -> Any:
+    """Return by how much an exact answer changes as one of a problem's arrays does, exactly."""
+    there, here = (cq.exact(one, enclose=False) for one in (problem.replace(**{name: step}), problem))
+    return np.array(getattr(there, of), dtype=object) - np.array(getattr(here, of), dtype=object)
+
+
+def fractions(values: Any) -> Any:
+    return np.array([Fraction(x) for x in np.ravel(values).tolist()], dtype=object).reshape(np.shape(values))
+
+
+@pytest.mark.parametrize("scale", [1.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (2.0**-30, 2.0**30))])
+def test_a_node_that_grazes_both_walls_of_a_corner_has_unique_forces_to_either_side(scale: float) -> None:
+    """Pushed to one wall it leaves the other: rows of both depend on one another, but nothing is shared."""
+    at = np.array([2.0, -1.0])
+    corner = cq.ContactProblem(
+        K * scale, K @ at * scale, [FLOOR[0], WALL[0]], [1.0, 2.0], [FLOOR[1], WALL[1]], 0.25,
+        slip_origin=[[2.0], [-1.0]],
+    )  # fmt: skip
+    answer = cq.solve(corner)
+    assert answer.contact_status.tolist() == ["grazing", "grazing"]
+    back = dict(displacement=[(7, 15), (0, 1)], normal_force=[(-8, 15), (0, 1)], friction_force=[(2, 15), (0, 1)])
+    ahead = dict(displacement=[(0, 1), (2, 11)], normal_force=[(0, 1), (20, 11)], friction_force=[(0, 1), (5, 11)])
+    for of in ("displacement", "normal_force", "friction_force"):
+        found, unit = answer.derivative(of, "load", [2.0 * scale, scale]), 1.0 if of == "displacement" else scale
+        assert found.reach == (np.inf, np.inf)
+        for rate, ratios in ((found.left, back[of]), (found.right, ahead[of])):
+            exact = np.array([Fraction(*ratio) * Fraction(unit) for ratio in ratios])
+            assert np.all(abs(fractions(np.ravel(rate)) - exact) <= np.ravel(found.bound))
+            assert np.max(found.bound) <= 1e-14 * unit
+
+
+def in_units(problem: cq.ContactProblem, force: float, length: float) -> cq.ContactProblem:
+    return cq.ContactProblem(
+        problem.stiffness_rows.toarray() * (force / length), problem.load * force, problem.normal, problem.gap * length,
+        problem.tangent, problem.friction, tie=problem.tie, tie_value=problem.tie_value * length,
+    )  # fmt: skip
+
+
+UNITS = [(1.0, 1.0), (2.0**-30, 2.0**10), (2.0**30, 2.0**-30)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seeds", "units"), [((0, 60), UNITS[0]), ((60, 100), UNITS[1]), ((60, 100), UNITS[2])])
+def test_shared_forces_have_bounds_above_the_error_and_reach_as_far_as_answers_say(
+    seeds: tuple[int, int], units: tuple[float, float]
+) -> None:
+    """The rates hold exactly within the reach, unless other answers come up, and beyond it no more."""
+    seen: Counter[str] = Counter()
+    for seed in range(*seeds):
+        rng = np.random.default_rng(seed)
+        problem = in_corners(rng)
+        if not problem.frictional:
+            continue
+        problem = in_units(problem, *units)
+        answer, known = cq.solve(problem), cq.exact(problem, enclose=False)
+        size = float(np.max(abs(answer.displacement))) or units[1]
+        same = np.max(abs(np.array(known.displacement, dtype=float) - answer.displacement)) <= 1e-9 * size
+        if "forces not unique" not in answer.certificate.uniqueness or not same:
+            continue
+        for name, unit in (("load", units[0]), ("gap", units[1])):
+            direction = rng.integers(-8, 9, np.shape(getattr(problem, name))) / 4 * unit
+            found = answer.derivative("displacement", name, direction)
+            if found.bound is None or found.reach is None:
+                seen["bound"] += found.left is not None
+                assert found.left is None or found.bound_reason
+                continue
+            for sign, rate, reach in ((-1, found.left, found.reach[0]), (1, found.right, found.reach[1])):
+                step = 2.0 ** np.floor(np.log2(min(0.99 * reach, 1.0)) - 10)
+                there = getattr(problem, name) + sign * step * direction
+                exact = rate_of(problem, "displacement", name, there) / (sign * Fraction(step))
+                assert np.all(abs(fractions(rate) - exact) <= found.bound)
+                assert np.max(found.bound) <= 1e-13 * max(float(np.max(abs(rate))), size)
+                seen[name] += 1
+                if np.isfinite(reach):
+                    there = getattr(problem, name) + sign * reach * (1 + 2.0**-10) * direction
+                    try:
+                        beyond = rate_of(problem, "displacement", name, there)
+                    except cq.NoEquilibrium:
+                        seen["ends"] += 1
+                        continue
+                    beyond = beyond / (sign * Fraction(reach * (1 + 2.0**-10)))
+                    seen["ends" if np.max(abs(beyond - exact)) > 1e-9 * np.max(abs(rate)) else "goes on"] += 1
+    assert min(seen["load"], seen["gap"]) >= (seeds[1] - seeds[0]) // 6
+    assert seen["ends"] >= 20 * seen["goes on"]
+    assert seen["ends"] >= 2
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_of_floors_that_move_hardly_apart_it_is_not_told_which_holds(
+    blind: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The least system that fits both holds neither to twice double precision, and proves nothing."""
+    if blind:
+        monkeypatch.setattr(rate_systems, "all_held", lambda *_: True)
+    answer = cq.solve(node([2.0, -3.0], FLOOR, FLOOR))
+    found = answer.derivative("displacement", "gap", [1.0, 1.0 + 2.0**-40])
+    assert (found.bound is not None) == blind
+    assert blind or "share forces" in found.bound_reason
+    assert answer.derivative("displacement", "gap", [1.0, 1.0]).bound is not None

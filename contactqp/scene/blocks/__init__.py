@@ -1,4 +1,4 @@
-"""The blocks of elements between nodes, a file each, and the table of them: the fields of `Frame`.
+"""The blocks of elements between nodes, and the table of them: the fields of `Frame`.
 
 A kind of elements is a subclass of `contactqp.scene.blocks.element.Element`, and a line here.
 """
@@ -15,11 +15,10 @@ from pydantic import AfterValidator, Field, model_validator
 
 from contactqp.elements.scalars import Numbers
 from contactqp.scene import fields
-from contactqp.scene.blocks.bars import Bar
+from contactqp.scene.blocks.bars_and_springs import Bar, Spring
 from contactqp.scene.blocks.beams_and_strings import Beam, String
 from contactqp.scene.blocks.element import Element, Measure
 from contactqp.scene.blocks.matrices import PointMass, StiffnessMatrix
-from contactqp.scene.blocks.springs import Spring
 from contactqp.scene.fields import Block, Name, NodeName
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
 

@@ -1,4 +1,4 @@
-"""Axial bars: ``bars`` of a case file."""
+"""Axial bars, and springs between nodes or to the ground: ``bars`` and ``springs`` of a case file."""
 
 from __future__ import annotations
 
@@ -10,16 +10,30 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from contactqp.elements.members import truss_axial_force, truss_stiffness
-from contactqp.elements.scalars import Number, square_root, squared_length
+from contactqp.elements.members import (
+    spring_force,
+    spring_stiffness,
+    spring_to_ground,
+    truss_axial_force,
+    truss_stiffness,
+)
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 from contactqp.errors import SceneError
 from contactqp.scene import fields
-from contactqp.scene.blocks.element import Element, Measure, NamedMatrix, NodeAnswer, NodeScene, refuse_zero_length
+from contactqp.scene.blocks.element import (
+    Element,
+    Measure,
+    NamedMatrix,
+    NodeAnswer,
+    NodeScene,
+    refuse_zero_direction,
+    refuse_zero_length,
+)
 from contactqp.scene.fields import Name, TwoNames, refuse_unknown
 from contactqp.scene.units import Quantity
 
 
-def _force(bar: Bar, answer: NodeAnswer) -> float:
+def _bar_force(bar: Bar, answer: NodeAnswer) -> float:
     """Return the axial force, at large displacements that of the displaced bar."""
     scene = answer.scene
     if scene.large:
@@ -44,7 +58,7 @@ class Bar(Element):
     large: ClassVar[bool] = True
     inertial: ClassVar[bool] = True
     quantities: ClassVar[Mapping[str, Measure]] = {
-        "bar force": Measure("axial force, positive in tension", ("force",), at="bar", read=_force)
+        "bar force": Measure("axial force, positive in tension", ("force",), at="bar", read=_bar_force)
     }
 
     name: Name
@@ -133,3 +147,49 @@ class Bar(Element):
         """Raise SceneError with divisions, each of which has a force of its own."""
         if self.divisions > 1:
             raise SceneError(f"{where}: expected a bar in one piece, got {self.name!r}, each part of which has its own")
+
+
+def _spring_force(item: Spring, answer: NodeAnswer) -> float:
+    """Return the force; a spring to the ground is stretched by its node's displacement."""
+    relative = answer.of_node(item.nodes[-1])
+    if len(item.nodes) == 2:
+        relative = relative - answer.of_node(item.nodes[0])
+    return float(spring_force(answer.scene.value(item.stiffness), item.along(answer.scene), relative))
+
+
+class Spring(Element):
+    """A spring between two nodes along the line between them, or along `direction`; with one node, to the ground."""
+
+    title: ClassVar[str] = "springs"
+    noun: ClassVar[str] = "spring"
+    semidefinite: ClassVar[bool] = True
+    vectors: ClassVar[tuple[str, ...]] = ("direction",)
+    quantities: ClassVar[Mapping[str, Measure]] = {
+        "spring force": Measure("force of a spring, positive in tension", ("force",), at="spring", read=_spring_force)
+    }
+
+    name: Name
+    nodes: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)]
+    stiffness: fields.Stiffness
+    direction: fields.Vector | None = None
+
+    def along(self, scene: NodeScene) -> Numbers:
+        """Return its direction, of any length: as stated, from node to node, or along the scene's only axis."""
+        if self.direction is not None:
+            return np.array(self.direction)
+        if len(self.nodes) == 1:
+            return np.array([Fraction(1)])
+        return scene.point(self.nodes[1]) - scene.point(self.nodes[0])
+
+    def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
+        """Yield k n n' on its node, or on the difference of its two."""
+        formula = spring_stiffness if len(self.nodes) == 2 else spring_to_ground
+        yield scene.displacements(*self.nodes), formula(scene.value(self.stiffness), self.along(scene))
+
+    def check(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError unless it has a direction."""
+        refuse_zero_direction(self.direction, f"{where}.direction ({self.name!r})")
+        if self.direction is None and len(self.nodes) == 2:
+            refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
+        elif self.direction is None and len(scene.axes) > 1:
+            raise SceneError(f"{where}.direction ({self.name!r}): expected for a spring to the ground, and missing")

@@ -1,0 +1,320 @@
+"""Cones of the forces of contacts with friction, and groups of contacts whose rows depend on one another.
+
+What a group exerts is unique, how its contacts share it not: linear programs tell in which combinations of open, stick
+and slip they can exert it, go on doing so along a direction, and how far.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from itertools import pairwise, product
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+
+from contactqp.analysis.border_states import MOST_COMBINATIONS
+from contactqp.analysis.rate_data import Direction, Parts, Rates, Scales
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, longest_step
+from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, number_of_combinations
+from contactqp.model.problem import ContactProblem
+
+# Of unit rows and of changes of forces, what is none.
+NOTHING = 1e-9
+# Contacts of one group share a step along a direction, whose length is that of their force, at least so far; and they
+# share their force in the midst of their cones where each ray of these carries at least so much of the largest one.
+GOES_ON = 1e-6
+# Sides of the polygons about and in a cone in space, and sectors of slips that begin, which are halved down to these.
+SIDES, NARROW = 16, np.pi / 128
+# Linear programs that exclude slips which begin in space, at most.
+MOST_PROGRAMS = 2000
+
+# A choice of states for the contacts of one group.
+Choice: TypeAlias = tuple[int, ...]
+
+
+class Cones:
+    """The rows of contacts that touch, and of ties, of unit length, and the cones in which their forces are.
+
+    Parameters
+    ----------
+    problem, scales : with friction
+    status : (m,) array of int, the states of the answer
+    touching : (q,) array, contacts that are closed or graze
+    slip, slid : (m, d-1) and (m,) arrays, slips, and which contacts have slipped
+
+    Attributes
+    ----------
+    along : the directions of slip of the contacts that have slipped
+    rows : (p, n) array, those in which forces act: of a contact that has slipped its only ray
+    owners : (p,) array of int, the contacts of the rows, and -1 - k of tie k
+    """
+
+    def __init__(
+        self, problem: ContactProblem, scales: Scales, status: Status, touching: Indices, slip: Array, slid: Mask
+    ) -> None:
+        unit, of_normal, _, of_tie = scales.units
+        assert problem.tangent is not None
+        assert problem.friction is not None
+        self.scales, self.mu, self.in_space, width = scales, problem.friction, slip.shape[1] > 1, slip.shape[1]
+        touching, ties = touching[of_normal[touching] > 0], np.flatnonzero(of_tie > 0)
+        at = [int(width * i + k) for i in touching for k in range(width)]
+        whole = sp.csc_array(sp.vstack([problem.normal[touching], problem.tangent[at], problem.tie[ties]]))
+        felt = np.flatnonzero(np.diff(whole.indptr))
+        normal, tangent, tied = np.split(
+            whole[:, felt].toarray() * unit[felt], [len(touching), len(touching) + len(at)]
+        )
+        places, lengths = {int(i): k for k, i in enumerate(touching)}, of_normal[touching]
+        self.normal = {i: normal[k] / lengths[k] for i, k in places.items()}
+        self.tangent = {i: tangent[width * k : width * (k + 1)] / lengths[k] for i, k in places.items()}
+        size = np.linalg.norm(slip, axis=1)
+        moves = (slid | (abs(status) == 1)) & (self.mu > 0) & (size > 0)
+        self.along = {i: slip[i] / size[i] for i in places if moves[i]}
+        rows: list[Array] = []
+        owners: list[int] = []
+        for i in places:
+            sticks = i not in self.along and self.mu[i] > 0
+            own = np.array([self.normal[i], *self.tangent[i]]) if sticks else self.rays(i, SLIP_ON)
+            rows, owners = [*rows, *own], owners + [i] * len(own)
+        self.rows = np.array([*rows, *(tied / of_tie[ties, None])]).reshape(-1, len(felt))
+        self.owners = np.array(owners + [-1 - int(k) for k in ties], dtype=int)
+
+    def forces(self, answer: Parts) -> Vector:
+        """Return the forces (p,) of an answer in its rows, in the square root of energy."""
+        _, of_normal, _, of_tie = self.scales.units
+        found: list[float] = []
+        for i in self.normal:
+            sticks = i not in self.along and self.mu[i] > 0
+            found += [x * of_normal[i] for x in (answer.normal[i], *(answer.tangent[i] if sticks else ()))]
+        ties = -1 - self.owners[self.owners < 0]
+        return np.concatenate([np.array(found), answer.tie[ties] * of_tie[ties]])
+
+    def rays(self, i: int, state: int, corners: Array | None = None) -> Array:
+        """Return the rays of the cone that a contact's force is in: rows of it, in one of its states.
+
+        Parameters
+        ----------
+        i, state : the contact and its state
+        corners : (c, d-1) array, directions of friction; those of the state and the dimension where it is None
+        """
+        normal, tangent, mu = self.normal[i], self.tangent[i], self.mu[i]
+        if state == OPEN:
+            return np.zeros((0, len(normal)))
+        if mu == 0:
+            return np.asarray(normal[None])
+        if corners is None and i in self.along:
+            corners = self.along[i][None]
+        elif corners is None and tangent.shape[0] == 1:
+            corners = np.array([[1.0], [-1.0]] if state == STICK else [[float(state)]])
+        elif corners is None:
+            corners = _directions(np.arange(SIDES) * (2 * np.pi / SIDES)) / np.cos(np.pi / SIDES)
+        return np.asarray(normal + mu * (corners @ tangent))
+
+    def with_friction(self, mu: Vector) -> Cones:
+        """Return cones of other coefficients (m,)."""
+        other = copy(self)
+        other.mu = mu
+        return other
+
+    def of_contact(self, i: int) -> Choice:
+        """Return the states that a contact may be in as others take its force; slips that begin in space apart."""
+        if self.mu[i] == 0:
+            return (OPEN, SLIP_ON)
+        if i in self.along:
+            along = self.along[i]
+            return (OPEN, SLIP_ON if len(along) > 1 or along[0] > 0 else SLIP_BACK)
+        return (STICK, OPEN, SLIP_ON, SLIP_BACK) if self.tangent[i].shape[0] == 1 else (STICK, OPEN)
+
+    def begins(self, i: int, state: Any) -> bool:
+        """Return whether a contact that has not slipped does so in a state."""
+        return self.mu[i] > 0 and i not in self.along and state not in (OPEN, STICK)
+
+
+class Group:
+    """Contacts and ties whose rows depend on one another, and what they exert; `contacts` are its places."""
+
+    def __init__(self, cones: Cones, forces: Vector, places: Indices) -> None:
+        self._cones, self._places = cones, places
+        owners = cones.owners[places]
+        self.contacts = [int(i) for i in dict.fromkeys(owners[owners >= 0])]
+        self._ties = cones.rows[places[owners < 0]]
+        self._tied = -1 - owners[owners < 0]
+        rows = cones.rows[places]
+        _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
+        self._basis = basis[sizes > DEPENDENT_ROWS * sizes[0]]
+        self._exerts = forces[places] @ rows @ self._basis.T
+        self._size = float(np.max(abs(forces[places]), initial=0.0))
+
+    def choices(self) -> list[Choice]:
+        """Return the combinations of states that can exert what the group does; none where there are too many."""
+        options = [self._cones.of_contact(i) for i in self.contacts]
+        if number_of_combinations(options) > MOST_COMBINATIONS:
+            return []
+        return [choice for choice in product(*options) if self._step(self._outer(choice)) is not None]
+
+    def _step(self, cones: list[Array], change: Vector | None = None, whole: bool = False) -> float | None:
+        """Return how far the force of the group may change so that it stays in cones, 1 at most; None if it is in none.
+
+        Parameters
+        ----------
+        cones : rays of the force of each contact
+        change : of the force, along what the rows span, as a part of the group's largest force
+        whole : whether all of the change is to be made
+        """
+        rays = np.concatenate([*cones, self._ties]) @ self._basis.T
+        moved = np.zeros(len(self._basis)) if change is None else change
+        bounds = [(0.0, None)] * sum(map(len, cones)) + [(None, None)] * len(self._ties) + [(float(whole), 1.0)]
+        cost = np.append(np.zeros(len(rays)), -1.0)
+        exerts = self._exerts / (self._size or 1.0)
+        found = highs(cost, A_eq=np.column_stack([rays.T, -moved]), b_eq=exerts, bounds=bounds)
+        return None if found is None else float(found.x[-1])
+
+    def _change(self, rates: Rates) -> Vector:
+        """Return how the force of the group changes at some rates; nothing where that is rounding of the rates."""
+        cones, (_, of_normal, _, of_tie) = self._cones, self._cones.scales.units
+        change = self._basis @ self._ties.T @ (rates.tie_force * of_tie)[self._tied]
+        for i in self.contacts:
+            rows = np.array([cones.normal[i], *cones.tangent[i]])
+            change += self._basis @ rows.T @ np.append(rates.normal_force[i], rates.friction_force[i]) * of_normal[i]
+        told = np.max(abs(change), initial=0.0) > NOTHING * cones.scales.largest(rates)
+        return np.where(told, change, 0.0)
+
+    def goes_on(self, choice: Choice, rates: Rates, friction: Vector) -> bool:
+        """Return whether the group goes on exerting its force, changing at these rates, in a combination of states.
+
+        Parameters
+        ----------
+        choice, rates : the states of its contacts, and the rates of the answer
+        friction : (m,) array, the rates of the coefficients, which widen cones or narrow them
+        """
+        change, wider = self._change(rates), self._wider(friction)
+        size = max(float(np.max(abs(change), initial=0.0)) / (self._size or 1.0), wider)
+        change = change / (size * (self._size or 1.0) or 1.0)
+        if not wider:
+            step = self._step(self._outer(choice), change)
+            return step is not None and step >= GOES_ON
+        cones = self._cones.with_friction(self._cones.mu + GOES_ON / size * friction)
+        return self._step(self._outer(choice, cones), GOES_ON * change, whole=True) is not None
+
+    def _wider(self, friction: Vector) -> float:
+        """Return the largest rate of coefficients of contacts that have not slipped, as a part of these."""
+        mu, still = self._cones.mu, [i for i in self.contacts if self._cones.mu[i] > 0 and i not in self._cones.along]
+        return float(np.max(abs(friction[still]) / mu[still], initial=0.0))
+
+    def reach(self, choice: Choice, rates: Rates) -> float:
+        """Return the largest step along some rates in the plane to which a combination of states exerts the force."""
+        change, rays = self._change(rates), np.concatenate([*self._outer(choice), self._ties]) @ self._basis.T
+        limits: list[Any] = [(0.0, None)] * (len(rays) - len(self._ties)) + [(None, None)] * len(self._ties)
+        return longest_step(rays.T, self._exerts, change, limits) if change.any() else np.inf
+
+    def is_steady(self, choices: list[Choice]) -> bool:
+        """Return whether all combinations that exert the force hold the same motions and push along the same."""
+        spans = []
+        for choice in filter(self.may_move, choices):
+            pairs = list(zip(self.contacts, choice, strict=True))
+            held = [self._cones.normal[i] for i, state in pairs if state != OPEN]
+            held += [row for i, state in pairs if state == STICK for row in self._cones.tangent[i]]
+            pushed = [row for i, state in pairs for row in self._cones.rays(i, state)]
+            spans.append([np.array([*rows, *self._ties]) for rows in (held, pushed)])
+        same = all(_same_span(one, other) for pair in spans for one, other in zip(pair, spans[0], strict=True))
+        return bool(spans) and same and (not self._cones.in_space or self._is_within(choices))
+
+    def is_inner(self, choice: Choice) -> bool:
+        """Return whether contacts in these states can exert the force in the midst of their cones."""
+        inner = np.arange(SIDES) * (2 * np.pi / SIDES) if self._cones.in_space else np.array([0.0, np.pi])
+        corners = _directions(inner)[:, : 1 + self._cones.in_space]
+        cones = [
+            self._cones.rays(i, state, corners if state == STICK else None)
+            for i, state in zip(self.contacts, choice, strict=True)
+        ]
+        step = self._step(cones, -np.concatenate([*cones, self._ties[:0]]).sum(axis=0) @ self._basis.T)
+        return step is not None and step >= GOES_ON
+
+    def _is_within(self, choices: list[Choice]) -> bool:
+        """Return whether the force is within cones in space, not at their border, and no slip can begin."""
+        if not self.is_inner(max(choices, key=lambda choice: sum(state != OPEN for state in choice))):
+            return False
+        quarters = [(k * np.pi / 2, (k + 1) * np.pi / 2) for k in range(4)]
+        options = [self._cones.of_contact(i) for i in self.contacts]
+        wider: list[Any] = [[*option, *quarters] if STICK in option else option for option in options]
+        left: list[tuple[Any, ...]] = [
+            choice for choice in product(*wider) if any(isinstance(one, tuple) for one in choice)
+        ]
+        for _ in range(MOST_PROGRAMS):
+            if not left:
+                return True
+            choice = left.pop()
+            if not (self.may_move(choice) and self._step(self._outer(choice)) is not None):
+                continue
+            wide = max((one[1] - one[0], place) for place, one in enumerate(choice) if isinstance(one, tuple))
+            if wide[0] < NARROW:
+                return False
+            before, (first, last), after = choice[: wide[1]], choice[wide[1]], choice[wide[1] + 1 :]
+            left += [(*before, half, *after) for half in pairwise((first, (first + last) / 2, last))]
+        return False
+
+    def _outer(self, choice: tuple[Any, ...], of: Cones | None = None) -> list[Array]:
+        """Return cones about the forces of contacts in some states, of slips that begin in a sector."""
+        cones, of = [], self._cones if of is None else of
+        for i, one in zip(self.contacts, choice, strict=True):
+            if isinstance(one, tuple):
+                half = (one[1] - one[0]) / 2
+                corners = _directions(np.array([*one, one[0] + half])) / np.array([1.0, 1.0, np.cos(half)])[:, None]
+                cones.append(of.rays(i, SLIP_ON, corners))
+            else:
+                cones.append(of.rays(i, one))
+        return cones
+
+    def may_move(self, choice: tuple[Any, ...], along: Direction | None = None) -> bool:
+        """Return whether the group may move so that contacts hold, open, or begin to slip, all that are to do so.
+
+        Parameters
+        ----------
+        choice : states of the contacts, sectors of angles of those that begin to slip in space
+        along : what gaps, slip origins and tie values change at; nothing where it is None
+        """
+        cones, (still, apart, begin) = self._cones, ([], [], [])
+        _, of_normal, _, of_tie = cones.scales.units
+        for i, one in zip(self.contacts, choice, strict=True):
+            normal, tangent = (cones.normal[i], 0.0), [(row, 0.0) for row in cones.tangent[i]]
+            if along is not None:
+                normal = normal[0], along.whole_gap[i] / of_normal[i]
+                tangent = [(row, x / of_normal[i]) for (row, _), x in zip(tangent, along.slip_origin[i], strict=True)]
+            if one == OPEN:
+                apart.append(normal)
+                continue
+            still += [normal, *(tangent if one == STICK else ())]
+            if cones.begins(i, one):
+                ends = _directions(np.array(one)) if isinstance(one, tuple) else np.array([[float(one)]])
+                turned = np.array([[-ends[0, 1], ends[0, 0]], [ends[-1, 1], -ends[-1, 0]]] if len(ends) > 1 else [])
+                apart += [_combined(-turn, tangent) for turn in turned]
+                begin.append(_combined(-ends.sum(axis=0), tangent))
+        still += [(row, 0.0 if along is None else along.tie_value[k] / of_tie[k]) for row, k in
+                  zip(self._ties, self._tied, strict=True)]  # fmt: skip
+        most = max([1.0, *(abs(x) for _, x in still + apart + begin)])
+        parts: dict[str, Any] = {}
+        for kind, pairs, slack in (("eq", still, 0.0), ("ub", apart + begin, 1.0)):
+            rows = np.array([row @ self._basis.T for row, _ in pairs]).reshape(len(pairs), len(self._basis))
+            room = np.full((len(pairs), 1), slack)
+            room[: len(apart) if slack else None] = 0.0
+            parts |= given_rows(kind, np.column_stack([rows, room]), np.array([x / most for _, x in pairs]))
+        cost = np.append(np.zeros(len(self._basis)), -1.0)
+        found = highs(cost, bounds=[(None, None)] * len(self._basis) + [(0.0, 1.0)], **parts)
+        return found is not None and (not begin or float(found.x[-1]) > NOTHING)
+
+
+def _combined(turn: Vector, pairs: list[tuple[Array, float]]) -> tuple[Array, float]:
+    """Return a combination of rows and of what they are to be."""
+    return sum(x * row for x, (row, _) in zip(turn, pairs, strict=True)), float(turn @ [limit for _, limit in pairs])
+
+
+def _same_span(one: Array, other: Array) -> bool:
+    """Return whether rows of unit length span the same."""
+    ranks = {np.linalg.matrix_rank(rows, tol=NOTHING) if len(rows) else 0 for rows in (one, other)}
+    both = [rows for rows in (one, other) if len(rows)]
+    return len(ranks) == 1 and (not both or np.linalg.matrix_rank(np.concatenate(both), tol=NOTHING) in ranks)
+
+
+def _directions(angles: Any) -> Array:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
