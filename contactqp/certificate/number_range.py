@@ -20,9 +20,10 @@ import scipy.sparse as sp
 from contactqp.certificate.bounds import Bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified
 from contactqp.linalg.equilibration import ALIKE, balanced_exponents, mostly_bare
-from contactqp.linalg.existence import Conflict, DrivenMotion
+from contactqp.linalg.existence import BUT_FOR, Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.model.computed import Computed
+from contactqp.model.names import describe_proof
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import FARTHEST, are_near_one
 from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
@@ -182,9 +183,14 @@ class NearOne:
         return replace(bounds, solution=None, **changed)
 
     def no_equilibrium(self, error: NoEquilibrium) -> NoEquilibrium:
-        """Return an error raised in these units with its proof in the units of the problem."""
-        text = f"{error} (figures in this message are in units that bring the numbers of the problem near one)"
-        return NoEquilibrium(text, self._proof(error.proof))
+        """Return an error raised in these units with its proof, and its figures, in the units of the problem."""
+        proof, text = self._proof(error.proof), str(error)
+        figures = "" if proof is None else describe_proof(self.problem, error.proof)
+        if error.proof is not None and (proof is None or figures not in text or BUT_FOR in text):
+            text += " (figures in this message are in units that bring the numbers of the problem near one)"
+        elif proof is not None:
+            text = text.replace(figures, describe_proof(self.whole, proof))
+        return NoEquilibrium(text, proof)
 
     def _proof(self, proof: Any) -> Any:
         if isinstance(proof, DrivenMotion):

@@ -31,7 +31,7 @@ from contactqp.linalg.least_norm import WITHIN_ROUNDING, nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows
-from contactqp.model.names import describe_motion, listed
+from contactqp.model.names import describe_motion, describe_proof, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
@@ -55,7 +55,7 @@ SOUGHT = 1e3
 # ratios of whole numbers up to LARGEST_DENOMINATOR, which what a linear program leaves of them determines.
 MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
 # Loads that balance to less than this of their size were meant to balance: the message says how to make them.
-MEANT_TO_BALANCE = 1e-4
+MEANT_TO_BALANCE, BUT_FOR = 1e-4, "the loads along it balance but for"
 # A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
 RECOGNISED = 1e3
 
@@ -91,7 +91,7 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
     advice, size = "", float(problem.load_size @ abs(found.motion))
     if found.work <= MEANT_TO_BALANCE * size:
         advice = (
-            f"; the loads along it balance but for {found.work:.3g} ({found.work / size:.2g} of their size): if they "
+            f"; {BUT_FOR} {found.work:.3g} ({found.work / size:.2g} of their size): if they "
             "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
         )
     else:
@@ -266,12 +266,8 @@ def refuse_proven(problem: ContactProblem, found: Conflict | None) -> None:
         return
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
     names += [problem.tie_name(int(i)) for i in np.flatnonzero(found.tie)]
-    unit = f" {problem.units.length}" if problem.units.length else ""
-    raise NoEquilibrium(
-        f"no displacement satisfies these constraints together: {listed(names)} (weighted, they overlap by "
-        f"{found.excess:.3g}{unit}, rounding {found.rounding:.1g})",
-        found,
-    )
+    together = f"{listed(names)} (weighted, {describe_proof(problem, found)})"
+    raise NoEquilibrium(f"no displacement satisfies these constraints together: {together}", found)
 
 
 def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | None:

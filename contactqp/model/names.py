@@ -79,6 +79,14 @@ def describe_motion(problem: Any, motion: Vector) -> str:
     return listed(named, len(order))
 
 
+def describe_proof(problem: Any, proof: Any) -> str:
+    """Describe what a proof that there is no equilibrium gives in figures: its motion, or its weighted overlap."""
+    if hasattr(proof, "motion"):
+        return describe_motion(problem, proof.motion)
+    unit = f" {problem.units.length}" if problem.units.length else ""
+    return f"they overlap by {proof.excess:.3g}{unit}, rounding {proof.rounding:.1g}"
+
+
 def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
     """Describe translations of bodies as ``"block along x by +1 (node 0 and 152 more)"``; empty if nodes move apart."""
     first: dict[tuple[str, str], str] = {}

@@ -247,6 +247,9 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
     """Read initial gaps (m,); an infinite one is that of a contact that never closes."""
     gap = read_array("gap", value)
     gap = gap[None] if gap.ndim == 0 and size == 1 else gap
+    if gap.shape == (size,) and (gap == -np.inf).any():
+        at = int(np.argmax(gap == -np.inf))
+        raise InvalidProblem(f"gap: expected finite numbers, or inf where a contact never closes, got -inf at [{at}]")
     if gap.shape == (size,) and (gap == np.inf).any():
         _finite_vector("gap", np.where(gap == np.inf, 0.0, gap), size)
         return read_only(gap)

@@ -307,3 +307,24 @@ def test_a_smooth_motion_of_a_long_chain_is_no_proof(size: int) -> None:
     problem = cq.ContactProblem(K, np.ones(size), -sp.identity(size, format="csr"), np.ones(size))
     diverged = Answer(1e20 * smooth, np.zeros(size), None, np.zeros(0))
     refuse_ray(problem, diverged)
+
+
+@pytest.mark.parametrize("force", [1.0, 1e30])
+def test_figures_of_a_proof_are_in_the_units_of_the_problem(force: float) -> None:
+    """Walls 2 mm into each other, and a load on what nothing holds, whatever the size of forces."""
+    spring = cq.ContactProblem([[force]], [force], [[1.0], [-1.0]], [-1.0, -1.0], units={"length": "mm", "force": "N"})
+    with pytest.raises(cq.NoEquilibrium) as refused:
+        cq.solve(spring)
+    assert "(weighted, they overlap by 2 mm, rounding 4e-15)" in str(refused.value)
+    assert "figures" not in str(refused.value)
+    with pytest.raises(cq.NoEquilibrium, match=r"holds back: unknown 0 by \+1; hold it by[^(]*$"):
+        cq.solve(cq.ContactProblem([[0.0]], [force], [[-1.0]], [0.0]))
+
+
+def test_figures_that_are_not_of_the_proof_have_their_units_named() -> None:
+    """Loads that balance but for a part of 1e-6: what is left of them is told in the units of the solution."""
+    rod = cq.ContactProblem(
+        1e30 * np.array([[1.0, -1.0], [-1.0, 1.0]]), [1e30, -1e30 * (1 - 1e-6)], [[-1.0, 0.0]], [0.0]
+    )
+    with pytest.raises(cq.NoEquilibrium, match=r"balance but for .*\(figures in this message are in units that"):
+        cq.solve(rod)

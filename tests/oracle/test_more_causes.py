@@ -300,3 +300,15 @@ def test_what_is_left_of_many_digits_is_no_offset_and_no_glue(digits: int) -> No
     assert not judged.passed
     assert f"about {digits} digits" in judged.diagnosis or f"about {digits - 1} digits" in judged.diagnosis
     assert not causes(judged) & {"shifted", "bilateral"}
+
+
+def test_a_force_of_zero_is_no_printed_digit_of_one() -> None:
+    """Beside a force of 1e6 one of 1 is six digits down, and an answer without it is not right to six digits."""
+    springs = cq.ContactProblem(np.diag([1e6, 1.0]), [2e6, 2.0], np.eye(2), [1.0, 1.0])
+    judged = cq.certify(springs, [1.0, 1.0], [1e6, 0.0])
+    assert judged.diagnosis == "all values are right but one: the normal force of contact 1 is 0 instead of 1"
+    three = cq.ContactProblem(np.diag([1e9, 1.0, 1.0]), [2e9, 2.0, 3.0], np.eye(3), [1.0, 1.0, 1.0])
+    judged = cq.certify(three.replace(units=UNITS), [1.0, 1.0, 1.0], [1e9, 0.0, 0.0])
+    assert "4 digits of the largest values, but contact 2 has 0 and should have 2 N: " in judged.diagnosis
+    rounded = cq.certify(springs, [1.0, 1.0], [1e6 * (1 + 1e-5), 1.0])
+    assert "should have" not in rounded.diagnosis

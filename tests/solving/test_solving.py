@@ -317,3 +317,10 @@ def test_a_thousand_unknowns_by_superlu() -> None:
     assert sparse.work.retained == n
     assert sparse.normal_force == pytest.approx(solution.normal_force, rel=1e-12, abs=1e-14)
     assert full.normal_force == pytest.approx(solution.normal_force, rel=1e-10, abs=1e-12)
+
+
+def test_data_of_the_problem_given_to_solve_are_named_as_that() -> None:
+    with pytest.raises(cq.InvalidProblem, match=r"'friction' \(it belongs to the problem: solve\(problem.replace\("):
+        cq.solve(truss(), friction=0)
+    with pytest.raises(cq.InvalidProblem, match=r"or inf where a contact never closes, got -inf at \[0\]"):
+        truss().replace(gap=[-np.inf])

@@ -311,11 +311,13 @@ def _deepest(problem: ContactProblem, displacements: Sequence[Vector]) -> tuple[
     """Return the step, the contact and the depth of the deepest penetration of (n,) each; None if there is none."""
     if not problem.contacts:
         return None
-    touched = np.unique(problem.normal.indices)  # all others take memory alone
-    u, rows = np.array([one[touched] for one in displacements]), problem.normal[:, touched].T
+    rows, u = problem.normal, np.array(displacements[:1]).T
+    if len(displacements) > 1:
+        touched = np.unique(rows.indices)  # all others take memory alone
+        rows, u = rows[:, touched], np.array([one[touched] for one in displacements]).T
     limit = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
     with np.errstate(over="ignore", invalid="ignore"):  # a motion that blows up
-        depth, size = u @ rows - problem.gap, abs(u) @ abs(rows) + limit
+        depth, size = (rows @ u).T - problem.gap, (abs(rows) @ abs(u)).T + limit
         depth = np.where(depth > PENETRATES * size, depth, 0.0)
     step, contact = np.unravel_index(int(np.argmax(depth)), depth.shape)
     return (int(step), int(contact), float(depth[step, contact])) if depth[step, contact] > 0 else None

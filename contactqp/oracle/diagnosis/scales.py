@@ -265,7 +265,8 @@ def printed(evidence: Evidence) -> Iterator[Explanation]:
         return
     values, right, noise = _side_by_side(evidence)
     for kind, why, last_digit in _roundings(values):
-        if np.all(abs(values - right) <= last_digit * np.maximum(abs(values), abs(right)) + noise):
+        part = min(last_digit, 1 / 3)  # rounding to one digit changes a number by a third at most: 1.5 to 1
+        if np.all(abs(values - right) <= part * np.maximum(abs(values), abs(right)) + noise):
             yield from _inexact_by(evidence, kind, why)
             return
 
@@ -282,12 +283,27 @@ def _inexact_by(evidence: Evidence, kind: str, why: str) -> Iterator[Explanation
     right = "the right answer"
     if evidence.right is None or evidence.before < 0.1 * evidence.apart(evidence.given, evidence.right):
         right = "the equilibrium with the same contacts open, sticking and slipping"
-    text = f"it agrees with {right} to about {digits(evidence.before)}: {why}"
+    text = f"it agrees with {right} to about {digits(evidence.before)}{_small_forces(evidence)}: {why}"
     passing = _what_passes(evidence)
     if evidence.before <= ROUNDINGS and passing == NONE_PASSES:  # digits are not what it lacks
         return
     text = f"{text} {passing}" if text.endswith("?") else f"{text}; {passing}"
     yield Explanation(Finding(kind, text, True), evidence.before)
+
+
+def _small_forces(evidence: Evidence) -> str:
+    """Say of which contact the force is another one, where all forces agree beside the largest; else nothing."""
+    given = evidence.given.normal_force
+    if evidence.right is None or given is None or evidence.shared:
+        return ""
+    mine, right = np.ravel(given), np.ravel(evidence.right.normal_force)
+    off, size = abs(mine - right), np.maximum(abs(mine), abs(right))
+    wrong = np.flatnonzero((off >= 0.5 * size) & (size > NOISE * np.max(abs(right), initial=0.0)))
+    if not wrong.size:
+        return ""
+    i = int(wrong[np.argmax(size[wrong])])
+    force = f"{right[i]:.3g} {evidence.problem.units.force}".rstrip()
+    return f" of the largest values, but {evidence.problem.contact_name(i)} has {mine[i]:.3g} and should have {force}"
 
 
 def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:

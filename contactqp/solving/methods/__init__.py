@@ -136,6 +136,8 @@ ARGUMENTS = (
 ELSEWHERE = {"tol": "tolerance", "eps": "tolerance", "eps_abs": "tolerance", "rtol": "tolerance", "atol": "tolerance",
              "solver": "method", "maxiter": "max_iter", "max_iterations": "max_iter", "timeout": "time_limit",
              "initvals": "warm_start", "x0": "warm_start", "beta": "penalty", "kappa": "perturbation"}  # fmt: skip
+# What somebody may give to `solve` and is a part of the problem.
+OF_THE_PROBLEM = ("load", "gap", "friction", "slip_origin", "normal", "tangent", "tie", "tie_value")
 
 
 def options_of(name: str, names: Iterable[str], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,6 +160,8 @@ def _polygon_options(method: Method) -> tuple[str, ...]:
 
 def meant_option(name: str, options: Sequence[str]) -> str:
     """Return a hint at the argument of `solve` or the option of a method that a name may stand for."""
+    if name in OF_THE_PROBLEM:
+        return f" (it belongs to the problem: solve(problem.replace({name}=...)))"
     meant = ELSEWHERE.get(name.casefold())
     names = (*ARGUMENTS, *options)
     if meant is None or meant not in names:
@@ -234,7 +238,7 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     if algorithm is not None and problem.friction is None:
         raise Unsupported(
             f"{method.name}: algorithm={shown(algorithm)} solves problems with friction, and this one states none: "
-            "leave it out, or state friction=0"
+            "leave it out, or give the problem its tangent and friction=0"
         )
 
 

@@ -102,7 +102,7 @@ def test_an_algorithm_is_no_mistake_without_friction(idle: dict[str, Any], algor
     assert found.certificate.passed
     with pytest.raises(cq.InvalidProblem, match="algorithm: expected one of newton"):
         cq.solve(problem, algorithm="nonsense")
-    with pytest.raises(cq.Unsupported, match="leave it out, or state friction=0"):
+    with pytest.raises(cq.Unsupported, match="leave it out, or give the problem its tangent and friction=0"):
         cq.solve(cq.ContactProblem(**{name: facts[name] for name in facts if name != "friction"}), algorithm=algorithm)
 
 
