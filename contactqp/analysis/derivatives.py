@@ -24,17 +24,27 @@ from contactqp.analysis.gradients import (
     rate_of_energy,
     value_of,
 )  # fmt: skip
-from contactqp.analysis.rate_data import FREE, REDUNDANT, SAME, VECTORS, Direction, NoRates, Rates, errors_of
+from contactqp.analysis.rate_data import (
+    FREE,
+    REDUNDANT,
+    SAME,
+    VECTORS,
+    Direction,
+    NoRates,
+    Rates,
+    errors_of,
+    moves,
+    unheld,
+)
 from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import EPS, Array, Vector, own_floating_point, zero_beneath
+from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_point
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
 
@@ -53,8 +63,7 @@ GRAZES = "bodies are free to move, and where they go decides on what grazes them
 UNREFINED = "refinement does not take the rates beyond double precision"
 # Along these the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-# Whether answers with friction have bounds.
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()  # whether answers with friction have bounds
 # The rows of answers that constrain something, and answers on these alone, of those with others or with repeated ties.
 _ACTING: WeakKeyDictionary[Solution, ActingRows | None] = WeakKeyDictionary()
 _ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
@@ -122,9 +131,8 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
             return Derivative(None, None, None, False, reason=why)
         return _on_acting(rows, solution, of, with_respect_to, given)
     linearised = _linearised(solution)
-    return _along(
-        linearised, of, read_direction(solution, linearised.push, with_respect_to, direction), with_respect_to
-    )
+    along = read_direction(solution, linearised.push, with_respect_to, direction, linearised.closed)
+    return _along(linearised, of, along, with_respect_to)
 
 
 @checked
@@ -255,7 +263,8 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
         return Derivative(None, None, None, False, reason=REDUNDANT)
     reduced = _ON_ACTING[solution]
     linearised = _linearised(reduced)
-    along = read_direction(reduced, linearised.push, parameter, rows.part(parameter, getattr(given, parameter)))
+    direction = rows.part(parameter, getattr(given, parameter))
+    along = read_direction(reduced, linearised.push, parameter, direction, linearised.closed)
     found = _along(linearised, of, along, parameter)
     if found.reach is not None and parameter == "gap":  # a row of zeros whose gap is used up has no answer beyond
         limits = solution.problem.gap[rows.idle_contacts], given.gap[rows.idle_contacts]
@@ -383,7 +392,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     if (linearised.redundant or linearised.shares) and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
-    motions = _free(linearised.solution)
+    motions = unheld(linearised.solution, linearised.closed)
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
     rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
@@ -445,7 +454,9 @@ def _is_proven(solution: Solution) -> bool:
     return _PROVEN[solution]
 
 
-def read_direction(solution: Solution, push: Vector, parameter: str, direction: Any) -> Direction:
+def read_direction(
+    solution: Solution, push: Vector, parameter: str, direction: Any, closed: Indices | None = None
+) -> Direction:
     """Return a direction of one parameter, and what it means at an answer with contact forces (m,).
 
     Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
@@ -454,9 +465,10 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
     ----------
     solution, push : the answer, and its contact forces
     parameter, direction : as in `contactqp.analysis.derivatives.derivative`
+    closed : contacts that hold motions, as far as the answer does not tell them
     """
     problem, u = solution.problem, solution.displacement
-    zero, motions = Direction.zero(problem), _free(solution)
+    zero, motions = Direction.zero(problem), unheld(solution, closed)
     if parameter in VECTORS:
         expected, given = np.shape(getattr(problem, parameter)), read_array("direction", direction)
         if parameter == "friction" and given.ndim == 0:
@@ -466,7 +478,7 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
         if not np.all(np.isfinite(given)):
             raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
         loads = given[None] if parameter == "load" else np.zeros((0, problem.dimension))
-        driven = _moves(loads, motions)
+        driven = moves(loads, motions)
         return Direction(**(vars(zero) | {parameter: given.reshape(expected), "driven": driven}))
     change = read_matrix("direction", direction)
     expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
@@ -477,24 +489,12 @@ def read_direction(solution: Solution, push: Vector, parameter: str, direction: 
         closing = np.asarray(change @ u)
         changed: dict[str, Any] = dict(
             turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
-            driven=_moves(change, motions), rows=change,
+            driven=moves(change, motions), rows=change,
         )  # fmt: skip
         return Direction(**(vars(zero) | changed))
     if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
         raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
     moved = np.asarray(change @ u)
-    driven = _moves(change, motions)
+    driven = moves(change, motions)
     strained: dict[str, Any] = dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven, stiffness=change)
     return Direction(**(vars(zero) | strained))
-
-
-def _free(solution: Solution) -> list[Vector]:
-    """Return the free motions of an answer, zero where they are rounding in the square root of energy."""
-    found = [motion.direction for motion in solution.free_motions]
-    unit = unknown_scale(solution.problem) if found else np.ones(0)
-    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
-
-
-def _moves(rows: Any, motions: list[Vector]) -> float:
-    """Return 1 where a motion moves a row, more than its rounding, else 0."""
-    return float(any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions))

@@ -196,3 +196,19 @@ def test_why_there_is_no_bound_is_said() -> None:
     matrix = never.jacobian("gap", "load", return_bound=True)
     assert (matrix.bound_reason, matrix[1].shape) == ("", (2, 1))
     assert walls.derivative("displacement", "load", [1.0]).bound_reason == ""
+
+
+def test_a_body_between_walls_that_do_not_push_is_not_free() -> None:
+    """Two of three walls bear no force here, and could share it with the third: nothing moves."""
+    rows = [[-2.0, 2.0], [-2.0, -2.0], [0.0, 2.0]]
+    answer = cq.solve(cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [-2.0, 2.0], rows, [-4.0, 2.0, -3.0]))
+    assert answer.normal_force == pytest.approx([2.0, 0.0, 0.0])
+    found = answer.derivative("displacement", "load", [1.0, 1.0])
+    assert found.value == pytest.approx([0.0, 0.0], abs=1e-14)
+    assert "share forces" in found.bound_reason
+    energy = answer.derivative("energy", "load", [1.0, 1.0])
+    assert energy.value == pytest.approx(1.0)  # -u'df
+    assert answer.pullback("energy", 1.0, "load") == pytest.approx([-0.5, 1.5])
+    # As the third wall gives way there is room between the second and the third, and the body moves along.
+    one_sided = cq.solve(answer.problem.replace(gap=[-4.0, 2.5, -3.0]))
+    assert one_sided.derivative("displacement", "load", [1.0, 1.0]).reason.startswith("bodies are free")
