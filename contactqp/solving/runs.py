@@ -209,6 +209,12 @@ class Run(ABC):
         return Raw(self.problem, answer, candidate.claimed, candidate.status, judge=compute_certificate)
 
 
+def after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
+    """Return the solution of a later attempt with the message and the work of the one that failed before."""
+    spent = first.work if isinstance(first := error.solution, Solution) else Work()
+    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
+
+
 def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     """Return whether an answer penetrates or misses ties by more than rounding of the lengths that meet."""
     u, found = solution.answer.displacement, solution.certificate.violations

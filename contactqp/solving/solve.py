@@ -67,8 +67,8 @@ from contactqp.solving.methods import (
     warm_candidate,
 )
 from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
-from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run
-from contactqp.solving.sparse_run import SPARSE, SparseRun, after, by_sparse_systems, has_sparse_systems
+from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run, after
+from contactqp.solving.sparse_run import SPARSE, SparseRun, by_sparse_systems, has_sparse_systems
 
 # Arguments that all methods share; any other argument is an option of the method.
 OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", "algorithm")
@@ -253,7 +253,8 @@ def _solve(
     except (NotCertified, NotConverged) as error:
         limited = not same["polish"] or same["max_iter"] or time_is_up()
         if method != DEFAULT_METHOD or limited:
-            if limited or systems is not Systems.CONDENSED:
+            sparse_before = systems is Systems.SPARSE and has_sparse_systems(find(method))
+            if limited or sparse_before or systems not in (Systems.CONDENSED, Systems.SPARSE):
                 raise
             return by_sparse_systems(problem, find(method), settings, error)
         systems = systems_of(problem)  # what has failed may have found that a body floats

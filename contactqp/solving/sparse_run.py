@@ -2,8 +2,7 @@
 
 An interior-point backend finds which contacts close; sparse saddle points of these, refined in extended precision, give
 the answer (`contactqp.linalg.sparse_saddle`). Where the backend stopped too early to tell, Newton's steps along the
-central path go on from its answer (`contactqp.linalg.interior_point`), or a linear program goes to a vertex near it
-(`contactqp.linalg.interior_point`).
+central path, or a linear program to a vertex nearby, go on from its answer (`contactqp.linalg.interior_point`).
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
-from contactqp.solving.runs import CONDENSES_ITSELF, Run, described
+from contactqp.solving.runs import CONDENSES_ITSELF, Run, after, described
 
 # Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
 # the units of the problem that it is shown. Clarabel scales best what it is given as it is, and its factors of rows
@@ -91,6 +90,7 @@ INFEASIBLE = "nfeasible"
 # QPALM may end the process (a segmentation fault) where its factors break down, as of a floating chain at 1e10 N/m:
 # it is shown the equilibrated problem, and is not asked again for one that condensed systems have lost.
 ENDS_PROCESSES = ("qpalm",)
+SYSTEMS_OF_ONE = 1000  # at most, to settle the one answer of a method that is not asked again
 # Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
 ENOUGH = 1e-18
 # Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
@@ -108,32 +108,35 @@ def has_sparse_systems(method: Method) -> bool:
 class SparseRun(Run):
     """The problem in all its unknowns and constraints, sparse.
 
-    Raises
-    ------
-    NoEquilibrium
-        The constraints conflict, or the energy falls for ever.
-    NotConverged
-        No backend's answer has led to a solution.
+    Raises NoEquilibrium: the constraints conflict, or the energy falls for ever; NotConverged: no answer has led on.
+
+    Parameters
+    ----------
+    problem, method, settings : as in `Run`
+    given : Candidate, optional, an answer of the method, which is not run again then
     """
 
-    def __init__(self, problem: ContactProblem, method: Method, settings: Settings) -> None:
+    def __init__(
+        self, problem: ContactProblem, method: Method, settings: Settings, given: Candidate | None = None
+    ) -> None:
         super().__init__(problem, method)
         self._effort = Effort(wasted=WASTED_AT_FIRST, singles=least_norm.DUAL_CHANGES if settings.max_iter else 0)
         self._most = settings.max_iter or np.inf  # factorisations
         self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
         self._twin, self._scaling = equilibrated(problem)
-        self._state: ClosedState | None = None
         self._settings, self._looked_for_overlap = settings, False
+        self._state: ClosedState | None = None
         self._last: Candidate | None = None  # the answer that was looked at last
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
         refuse_late(f"{method.name} began")
         with on_one_thread():  # nothing dense here is large
-            if method.kind == CONDENSES_ITSELF:
+            if given is not None:
+                self.candidate = given
+            elif method.kind == CONDENSES_ITSELF:
                 self.candidate = self._identified(settings.now)
             elif method.name in ENDS_PROCESSES:
-                start = settings.warm_start
-                if start is not None:
+                if (start := settings.warm_start) is not None:
                     start = replace(start, answer=self._scaling.scale(start.answer))
                 found = method.solve(self._twin, replace(settings.now, warm_start=start))
                 self.candidate = self._scaling.unscale(found)
@@ -141,7 +144,7 @@ class SparseRun(Run):
                 self.candidate = method.solve(problem, settings.now)
 
     def _identified(self, settings: Settings) -> Candidate:
-        """Return the answer that `_settled` finds, or the last that was looked at where the time is up."""
+        """Return the answer that `_settled` finds, or where the time is up the last one that was tried."""
         try:
             return self._settled(settings) if self.problem.contacts else self._linear()
         except NotConverged as error:
@@ -392,32 +395,30 @@ def by_sparse_systems(
 ) -> Solution:
     """Return the certified solution that a backend leads to on sparse systems where condensed ones led to none.
 
-    Raises the error where these lead to none, with friction, for methods that are shown dense matrices, and for those
-    that may end the process.
+    Methods that take dense matrices, or may end the process, are not run again: the systems begin with their answer.
+    Raises the error where there is none, where it leads to no solution, and with friction.
 
     Parameters
     ----------
-    problem, method, settings
-        As in `Run`.
+    problem, method, settings : as in `Run`
     error : that of the condensed systems
     """
-    shown_once = method.kind == CONDENSES_ITSELF or method.name in ENDS_PROCESSES
-    if problem.frictional or shown_once or not has_sparse_systems(method):
+    found, given = error.solution, None
+    if problem.frictional or method.kind not in ("quadratic program", "modelling language"):
         raise error
+    if not has_sparse_systems(method) or method.name in ENDS_PROCESSES:
+        if not isinstance(found, Solution):
+            raise error
+        given = Candidate(found.answer if found.raw is None else found.raw.answer)
+        settings = replace(settings, max_iter=SYSTEMS_OF_ONE)
     started = time.perf_counter()
     try:
         with problem.lock, one_blas_thread(problem), stage(METHOD):
-            run = SparseRun(problem, method, settings)
+            run = SparseRun(problem, method, settings, given)
         run.seconds = time.perf_counter() - started
         return after(error, SPARSE, run.finish())
     except (BackendFailed, NotCertified, NotConverged):
         raise error from None
-
-
-def after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
-    """Return the solution of a later attempt with the message and the work of the one that failed before."""
-    spent = first.work if isinstance(first := error.solution, Solution) else Work()
-    return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:

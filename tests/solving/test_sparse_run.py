@@ -417,3 +417,21 @@ def test_no_linear_program_in_a_stiffness_that_every_unknown_has(monkeypatch: py
     bare = sp.diags(np.append(np.ones(99), 0.0))
     with pytest.raises(cq.NoEquilibrium, match="drives a motion"):
         refuse_sparse_drive(cq.ContactProblem(bare, np.ones(100), problem.normal[:50], problem.gap[:50]))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("daqp") is None, reason="daqp is not installed")
+def test_the_answer_of_a_dense_backend_to_a_plan_is_settled_by_sparse_systems() -> None:
+    """A plan with costs on three products, whose answer is stated; that of DAQP 0.11 is off by 8e-11 of its lengths."""
+    random, n = np.random.default_rng(31), 24
+    rows = np.zeros((12, n))
+    for row in rows:
+        row[random.choice(n, 4, replace=False)] = np.round(random.normal(size=4) * 10.0 ** random.integers(-2, 3, 4), 3)
+    amount = np.maximum(0, random.integers(-4, 6, n)).astype(float)
+    price = rows.T @ np.round(random.normal(size=12), 2) + np.where(amount > 0, 0, random.integers(0, 3, n))
+    costs = np.zeros((n, n))
+    chosen = random.choice(n, 3, replace=False)
+    costs[chosen, chosen] = random.integers(1, 4, 3)
+    plan = cq.ContactProblem.from_qp(costs, price - costs @ amount, A=rows, b=rows @ amount, lb=np.zeros(n))
+    settled = cq.solve(plan, "daqp")
+    assert settled.certificate.passed
+    assert settled.energy == pytest.approx(plan.energy(amount), rel=1e-12)
