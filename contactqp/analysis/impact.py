@@ -165,9 +165,11 @@ def impact(
     if not entry.friction and problem.frictional:
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
     M = _mass(entry, read_mass(mass, n), problem)
-    body = Body(problem, M, float(time_step))
+    body, loads = Body(problem, M, float(time_step)), _loads(problem, load)
+    if "theta" in entry.knobs:
+        _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)
     with one_blas_thread(problem):
-        run = MotionRun(entry.make(body, settings), _loads(problem, load), float(start_time), method, options)
+        run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
         if entry.explicit:
             run.check_critical_step(penalty)
         run.start(u, v)
@@ -245,6 +247,33 @@ def _mass(entry: SchemeEntry, M: Any, problem: ContactProblem) -> Any:
     touching = np.zeros(problem.dimension, dtype=bool)
     touching[touched(problem)] = True
     return M if np.all(bare[touching]) else redistributed_mass(M, problem)
+
+
+def _refuse_ringing(scheme: str, problem: ContactProblem, M: Any, load: Vector, u: Vector) -> None:
+    """Raise InvalidProblem where a contact acts on an unknown without mass that is out of balance at the start.
+
+    The scheme's velocities there overshoot in every step, undamped with theta = 1/2, and its contact is never met.
+
+    Parameters
+    ----------
+    scheme, problem : the scheme's name, and the body with its contacts
+    M : (n, n) matrix, the mass
+    load, u : (n,) load and displacement at the start
+    """
+    touching = np.zeros(problem.dimension, dtype=bool)
+    touching[touched(problem)] = True
+    room, K = problem.gap - problem.normal @ u, problem.stiffness_rows
+    closed = room <= ROUNDING_OF_STARTS * (abs(problem.normal) @ abs(u) + abs(problem.gap))
+    held = abs(problem.normal).T @ closed.astype(float) + abs(problem.tie).T @ np.ones(problem.ties)
+    left, size = load - K @ u, problem.stiffness_sizes @ abs(u) + abs(load)
+    out = massless(M) & touching & (held == 0) & (abs(left) > ROUNDING_OF_STARTS * size)
+    if np.any(out):
+        j = int(np.argmax(np.where(out, abs(left), -1.0)))
+        raise InvalidProblem(
+            f"displacement: {problem.dof_name(j)} has no mass and a contact, and {left[j]:.6g} {problem.units.force}"
+            f"{' ' if problem.units.force else ''}are out of balance there at the start, which {scheme!r} does not "
+            "bring to rest: start it in balance, or take 'newmark', 'backward-euler' or 'modified-mass'"
+        )
 
 
 def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -> Callable[[float], Vector]:

@@ -82,6 +82,10 @@ def _refuse_indefinite(M: Any) -> None:
         raise InvalidProblem("mass: expected a positive semidefinite matrix, got an indefinite one") from error
 
 
+# What takes bodies that touch all over, as single masses do.
+OTHERWISE = "take the scheme 'moreau-jean', which lets contacts have mass, or a finer mesh"
+
+
 def massless(mass: Any) -> Mask:
     """Return which unknowns are without mass, (n,)."""
     return np.asarray(mass.diagonal() == 0)
@@ -137,7 +141,7 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
         j = int(np.argmin(np.where(kept, diagonal, np.inf)))
         raise InvalidProblem(
             f"mass: {problem.dof_name(j)} would be left with the mass {diagonal[j]:g}; contacts act on too many "
-            "unknowns for their mass to be moved"
+            f"unknowns for their mass to be moved; {OTHERWISE}"
         )
     return sp.csr_matrix(left + sp.diags(change))
 
@@ -162,7 +166,8 @@ def _on_neighbours(graph: Any, M: Any, left: Any, bare: Mask, kept: Mask, Z: Arr
                 return change
         if np.array_equal(reached, near):
             raise InvalidProblem(
-                "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body"
+                "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body; "
+                + OTHERWISE
             )
         near = reached
 
