@@ -166,10 +166,10 @@ def impact(
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
     M = _mass(entry, read_mass(mass, n), problem)
     body, loads = Body(problem, M, float(time_step)), _loads(problem, load)
-    if "theta" in entry.knobs:
-        _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)
     with one_blas_thread(problem):
         run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
+        if "theta" in entry.knobs:
+            _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)
         if entry.explicit:
             run.check_critical_step(penalty)
         run.start(u, v)

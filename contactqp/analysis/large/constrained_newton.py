@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.analysis.large.active_kkt import positive_semidefinite
 from contactqp.analysis.large.deformation import Forces, Imbalance, Instant, LoadedBody, NewtonIteration
 from contactqp.analysis.large.newton_step import NewtonSettings, NewtonStep, Target, newton_step, stationary_step
 from contactqp.errors import InvalidProblem, NotConverged
@@ -78,10 +79,11 @@ def find_balance(
     except InvalidProblem as error:
         raise NotConverged(f"at the start: {error}") from error
     iterations: list[NewtonIteration] = []
-    step, weight, reason, reach = None, 0.0, "", float(np.max(abs(start), initial=0.0))
+    step, weight, reason, reach, first = None, 0.0, "", float(np.max(abs(start), initial=0.0)), None
     for _ in range(settings.max_iter):
         refuse_late("the next step of Newton's method")
         K = loaded.hessian(now, forces)
+        first = first if iterations else K
         start_error = _imbalance_before(loaded, now, K, forces, target, settings)
         if not iterations and start_error.nothing and _sticks(loaded, now, forces, target, settings):
             step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
@@ -115,7 +117,7 @@ def find_balance(
             spent = time.perf_counter() - started
             return Balance(new, step.forces, now, step, tuple(iterations), spent, unresolved)
         now, forces = new, step.forces
-    raise _not_converged(iterations, reason)
+    raise _not_converged(iterations, reason, positive_semidefinite(first))
 
 
 def _comes_to_rest(start: Vector, new: Instant, target: Target) -> bool:
@@ -128,11 +130,19 @@ def _comes_to_rest(start: Vector, new: Instant, target: Target) -> bool:
     return bool(np.max(abs(new.displacement)) <= EPS**2 * np.max(abs(start)))
 
 
-def _not_converged(iterations: list[NewtonIteration], reason: str) -> NotConverged:
-    """Return the error of iterations that have not come to an end, with what may be the cause."""
+def _not_converged(iterations: list[NewtonIteration], reason: str, convex: bool) -> NotConverged:
+    """Return the error of iterations that have not come to an end, with what may be the cause.
+
+    Where the first tangent was `convex`, with no negative energy, it was shifted because its load met no stiffness.
+    """
     words = f"; full steps fail: {reason}" if reason else ""
     if all(iteration.shift for iteration in iterations):
         words += "; no tangent on the way held the body: its load may drive a motion that nothing holds"
+    elif iterations[0].shift and convex:
+        words += (
+            "; at the start the load drives a mechanism, such as a bar without tension across itself: stretch it "
+            "first, by a leg of loads that stays, or begin where it would hang (start=)"
+        )
     last = iterations[-1]
     return NotConverged(
         f"Newton's method: {len(iterations)} iterations leave {last.force_error:.3g} of the forces and "

@@ -229,7 +229,8 @@ class LargeSolution(Solution):
 
     `problem` is the last step of Newton's method, from u_0 = u - `increment`, written in the displacement: K is the
     tangent there, the load f - f_int + K u_0, E_N and E_T the rows and gap + E_N u_0 the gaps of there. The certificate
-    is of that problem. Gaps, slips and energy are those of u itself.
+    is of that problem. Gaps, slips and energy are those of u itself. `position` has the places of the contacts, and is
+    None where the body has none; the nodes of a truss or a solid are at their coordinates plus the displacement.
     """
 
     load_factor: float = 0.0
