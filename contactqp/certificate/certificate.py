@@ -472,8 +472,8 @@ def _matching(problem: ContactProblem, factorization: Condensation) -> Condensat
     return factorization
 
 
-def holds(problem: ContactProblem, answer: Answer) -> bool:
-    """Return whether an answer satisfies equilibrium, contact and Coulomb's law as the certificate measures them.
+def holds(problem: ContactProblem, answer: Answer, largest: float = HOLDS) -> bool:
+    """Return whether an answer satisfies equilibrium, contact and Coulomb's law by figures up to `largest`.
 
     Rigid motion in the displacement is ignored, and violations below `NOTHING` times the intrinsic size are accepted.
     """
@@ -481,9 +481,9 @@ def holds(problem: ContactProblem, answer: Answer) -> bool:
         return False
     rigid = (problem._computed.condensation or condense(problem)).rigid
     found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
-    if any(float(np.max(getattr(found, name), initial=0.0)) > HOLDS for name in FIGURES if name != "balance"):
+    if any(float(np.max(getattr(found, name), initial=0.0)) > largest for name in FIGURES if name != "balance"):
         return False
-    return not rigid.count or balance(problem, answer, rigid, found.nothing.force) <= HOLDS
+    return not rigid.count or balance(problem, answer, rigid, found.nothing.force) <= largest
 
 
 def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answer, tolerance: float) -> bool:

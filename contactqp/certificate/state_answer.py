@@ -295,6 +295,8 @@ class _Comparison:
                 return None, SINGULAR
             moved, _ = energy_norm(self._problem, refined.last.displacement)
             strain, unsure = energy_norm(self._problem, refined.displacement)
+            if not self._problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
+                strain = self._longest(strain)
             reached = refined.displacement.double()
             signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
             distance = self._distance(refined, signs, strain)
@@ -344,7 +346,9 @@ class _Comparison:
         sticks = (moved == 0) | (self._across * room > moved)
         status = np.where(sticks & self._frictional, STICK, self._sliding())
         # Where ties hold all that a contact touches it is closed by its force, and its gap by nothing.
-        closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & (gap <= self._found.nothing.normal))
+        touching = gap <= (nothing := self._found.nothing.normal)
+        gap = np.where(gap < -nothing, gap, np.maximum(gap, 0.0))  # contacts without a force that only touch are open
+        closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & touching)
         return np.where(closed, status, OPEN).astype(np.int8)
 
     def _sliding(self) -> Status:
@@ -382,9 +386,7 @@ class _Comparison:
         size = of_forces if felt else strain
         whole = max(size, own_size)
         own_normal, own_tangent = self._own
-        if not problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
-            met = in_energy(self._found.lengths, own_normal)
-            strain = float(np.max(met[np.isfinite(met)], initial=strain))
+        if not problem.diagonal.any():
             own_normal, own_tangent = (squared_lengths(rows, problem) for rows in (problem.normal, problem.tangent))
             given = abs(answer.normal_force) * np.sqrt(own_normal)
             whole = max(float(given.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
@@ -402,6 +404,11 @@ class _Comparison:
             rounding,
             (self._rounding(), RIGID_ROUNDING * whole if problem.ties or self._bodies.floats else 0.0),
         )
+
+    def _longest(self, least: float) -> float:
+        """Return the longest of the lengths that meet at contacts, as rows measure them, or `least` if that is more."""
+        met = in_energy(self._found.lengths, self._own[0])
+        return float(np.max(met[np.isfinite(met)], initial=least))
 
     def _with_ties(self, refined: RefinedState, normal: Vector, dragged: Array) -> tuple[float, float]:
         """Return the distance of all forces on untied bodies and their size; else that of ties at their unknowns."""

@@ -291,6 +291,9 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     u = abs(answer.displacement)
     meeting = problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
     meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force) + problem.load_size
+    along = np.zeros((0, len(u))) if problem.tangent is None else abs(problem.tangent)
+    if answer.friction_force is not None:
+        meeting = meeting + along.T @ abs(answer.friction_force.ravel())
     lengths = (u / scaling.unknowns, abs(problem.tie_value) / scaling.ties)
     length = part * max(least_length(twin) * scaling.length, *(_size(sizes) for sizes in lengths))
     # Where no force acts, those that would move the largest length.
@@ -300,7 +303,7 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     largest = _size(acting)
     acting = np.where(acting > 0, np.maximum(acting, beside * largest), largest)[connected]
     force = part * acting if largest > stiffest * length else np.full(len(acting), stiffest * length)
-    tangent = np.zeros(0 if problem.tangent is None else problem.tangent.shape[0])  # which do not act here
+    tangent = length * (along @ scaling.unknowns)
     return Nothing(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
 
 

@@ -172,7 +172,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     elastic : (n,) array, the displacement without its rigid part, of which K, being rounded, leaves RIGID_FORCE at most
     size, part : (n,) array and float, the intrinsic sizes and the fraction of them
     """
-    if not problem.diagonal.all() and (mostly_bare(problem) or not (problem.frictional or problem.diagonal.any())):
+    if not problem.diagonal.all() and (mostly_bare(problem) or not problem.diagonal.any()):
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u, D = abs(answer.displacement), scale_through_rows(problem)
     force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
