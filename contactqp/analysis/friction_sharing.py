@@ -122,7 +122,7 @@ class FrictionSharing:
         what refinement leaves. That is not told of slips in space, whose friction turns.
         """
         problem, status = self._problem, system.status
-        known = None if system.turns else system.answer()
+        known = None if system.turns or not system.regular else system.answer()
         if known is None or known.bound is None or problem.tangent is None:
             return None
         choices = [(group, tuple(int(state) for state in status[group.contacts])) for group in self._groups]

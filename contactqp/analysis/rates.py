@@ -200,7 +200,8 @@ class Linearised:
             system = self._system(found.steady)
             if not found.moves(system):
                 self.status, self.closed = found.steady, np.flatnonzero(found.steady != OPEN)
-                self.system = system if system.regular else system.of_independent_rows()
+                alone = system if system.regular else system.of_independent_rows()
+                self.system = alone if alone.regular else system
                 self.undecided = self.grazing = self._at_bound = others  # they are at no border
                 return found
         return found if self.system is None and not self._in_space else None

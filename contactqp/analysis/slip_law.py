@@ -269,7 +269,7 @@ class Frictional:
         slip = answer.tangent.ravel()
         self.directions, scaled = slip_directions(rows, status, slip, answer.normal)
         self._system = StateSystem(condensation, rows, status, self.directions, scaled, independent)
-        self.regular = self._system.regular
+        self.regular = self._system.regular and (self._system.sound or not independent)
         across = np.eye(self._shape[1]) - self.directions[:, :, None] * self.directions[:, None, :]
         turns = np.zeros(self._shape[0])
         if scaled is not None and problem.friction is not None:

@@ -128,6 +128,7 @@ class StateSystem:
     ----------
     regular : bool, whether the matrix has an inverse; without one, the least correction that fits best is taken
     redundant : bool, whether rows depend on others (where `independent` was asked for)
+    sound : bool, whether it has beyond rounding: held rows may be independent, and those along which slips push not
     """
 
     def __init__(
@@ -149,7 +150,7 @@ class StateSystem:
         # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
         self._acting = acting[rows.all_rows[acting].any(axis=1)]
         across, self._reduced = NONE_ACROSS if turning is None else across_slips(directions, turning), None
-        self._contacts, self._size, self._across = m, len(rows.S), len(across.contacts)
+        self._contacts, self._size, self._across, self.sound = m, len(rows.S), len(across.contacts), True
         held = not rows.motions.shape[1] and condensation.schur_factor.smallest_pivot >= REGULAR
         if held and self._size + len(acting) >= REDUCED:
             reduced = ReducedStates(rows, self._acting, directions, across)
@@ -193,10 +194,9 @@ class StateSystem:
     def _factorise(self, matrix: Array, singular: float) -> None:
         self._inverse: Array | None = None
         factor, pivots, info = lapack().dgetrf(matrix)
-        condition = float(info == 0)
-        if info == 0 and singular:
-            condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0]
-        if not (condition >= singular and info == 0):  # the least correction that fits best
+        condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0] if info == 0 else 0.0
+        self.sound = condition >= SINGULAR
+        if not (info == 0 and (condition >= singular or not singular)):  # the least correction that fits best
             self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
             self._singular = matrix
         self._factor = (factor, pivots)

@@ -311,3 +311,15 @@ def test_of_floors_that_move_hardly_apart_it_is_not_told_which_holds(
     assert (found.bound is not None) == blind
     assert blind or "share forces" in found.bound_reason
     assert answer.derivative("displacement", "gap", [1.0, 1.0]).bound is not None
+
+
+def test_held_rows_that_are_independent_may_push_along_ones_that_are_not() -> None:
+    """With a coefficient of one a slip pushes along the row that a tie holds: the least system holds nothing then."""
+    held = cq.ContactProblem(
+        [[0.0, 0.0], [0.0, 8.0]], [3.03125, -5.03125], [[-1.0, -1.0], [2.0, -1.0], [0.0, 2.0]], [0.5, 0.5, -1.0],
+        [[-2.0, 0.0], [0.0, -2.0], [-1.0, 1.0]], [1.0, 1.0, 0.0625], [[0.25], [1.0], [-0.5]],
+        tie=[[0.0, -1.0]], tie_value=[0.5],
+    )  # fmt: skip
+    found = cq.solve(held).derivative("displacement", "load", [-1.0, -1.0])
+    assert found.value == pytest.approx([0.0, 0.0], abs=1e-14)
+    assert "share forces" in found.bound_reason
