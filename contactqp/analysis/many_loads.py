@@ -50,8 +50,9 @@ from contactqp.solving.solve import solve
 
 # A case pays for so many influence functions, which may take a part of the memory that is free.
 PER_CASE, PART_OF_MEMORY = 8, 0.125
-# Of fewer unknowns solutions take a millisecond, and are right to the last digit, which forces by functions are not.
-FEWEST_UNKNOWNS = 500
+# Of fewer unknowns solutions take a millisecond, and are right to the last digit, which forces by functions are not;
+# of so many cases that is seconds, and functions take a tenth of it.
+FEWEST_UNKNOWNS, MANY_CASES = 500, 200
 # A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
 OF_ALL = (BackendMissing, Unsupported)
 NUMBER = {word: number for number, word in enumerate(STATUS)}
@@ -157,7 +158,7 @@ def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
     """Return whether influence functions are offered of a problem, and the cases are enough for their number."""
     rough = _is_rough(cases, problem)
     count = _functions(problem, rough)
-    if problem.dimension < FEWEST_UNKNOWNS:
+    if problem.dimension < FEWEST_UNKNOWNS and cases.count < MANY_CASES:
         return False
     if not 0 < count <= min(PER_CASE * cases.count, problem.dimension) or problem.has_idle_rows:
         return False

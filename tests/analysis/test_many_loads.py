@@ -479,3 +479,17 @@ def test_a_case_begins_with_the_states_of_the_nearest_of_the_last_cases() -> Non
         solved.keep(np.array([float(load)]), np.array([load % 7], dtype=np.int8))
     assert solved.nearest(np.array([50.2])).tolist() == [50 % 7]
     assert solved.nearest(np.array([-1.0])).tolist() == [2]  # the first two were given up
+
+
+def test_many_cases_of_two_unknowns_are_proven_together() -> None:
+    """Two bars and a gap between them, (2.22): its force is max(0, k2/(k1 + k2) (f - k1 g)) of a load f on the first."""
+    k1, k2, gap = 157500.0, 315000.0, 1e-3
+    bars = cq.ContactProblem([[k1, 0.0], [0.0, k2]], [0.0, 0.0], [[1.0, -1.0]], [gap])
+    forces = np.linspace(0, 600, many_loads.MANY_CASES)
+    many = cq.solve_many(bars, loads=np.column_stack([forces, 0 * forces]))
+    assert many.work.routes == (f"influence functions: {len(forces)} of {len(forces)} cases",)
+    assert many.proven.all()
+    exact = np.maximum(0.0, k2 / (k1 + k2) * (forces - k1 * gap))
+    np.testing.assert_allclose(many.normal_force[:, 0], exact, atol=1e-12 * exact.max())
+    assert np.all(abs(many.normal_force[:, 0] - exact) <= many.force_bound[:, 0] + 1e-13 * exact.max())
+    assert cq.solve_many(bars, loads=many[1].problem.load[None]).work.routes == ()
