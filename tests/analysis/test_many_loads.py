@@ -482,7 +482,7 @@ def test_a_case_begins_with_the_states_of_the_nearest_of_the_last_cases() -> Non
 
 
 def test_many_cases_of_two_unknowns_are_proven_together() -> None:
-    """Two bars and a gap between them, (2.22): its force is max(0, k2/(k1 + k2) (f - k1 g)) of a load f on the first."""
+    """Two bars and a gap between them: max(0, k2/(k1 + k2) (f - k1 g)) passes it, of a load f on the first."""
     k1, k2, gap = 157500.0, 315000.0, 1e-3
     bars = cq.ContactProblem([[k1, 0.0], [0.0, k2]], [0.0, 0.0], [[1.0, -1.0]], [gap])
     forces = np.linspace(0, 600, many_loads.MANY_CASES)
