@@ -312,7 +312,7 @@ def _on_independent(
 def states_hold(problem: ContactProblem, status: Status, known: Solved, slip: Array, contacts: Indices) -> bool:
     """Return whether some contacts push, stick and slip as their states say, beyond what an answer may be off by.
 
-    Those in the plane that slip do so on; in space that is told of none that slips.
+    In the plane slips have the sign of their states, in space those of a refined answer go along its friction.
 
     Parameters
     ----------
@@ -329,10 +329,10 @@ def states_hold(problem: ContactProblem, status: Status, known: Solved, slip: Ar
     slides = np.flatnonzero((abs(status) == 1) & (mu > 0))
     origin = 0.0 if problem.slip_origin is None else abs(problem.slip_origin).ravel()
     unsure = abs(problem.tangent) @ (bound.displacement + 4 * EPS * abs(found.displacement)) + 4 * EPS * origin
-    onward = status[slides] * slip[slides].sum(axis=1) > unsure.reshape(slip.shape)[slides].sum(axis=1)
-    in_space = slip.shape[1] > 1 and len(slides) > 0
+    ahead = np.linalg.norm(slip[slides], axis=1) if slip.shape[1] > 1 else status[slides] * slip[slides, 0]
+    onward = ahead > unsure.reshape(slip.shape)[slides].sum(axis=1)
     pushes = found.normal[closed] > bound.normal[closed]
-    return not in_space and bool(np.all(pushes) and np.all(room[sticks] > 0) and np.all(onward))
+    return bool(np.all(pushes) and np.all(room[sticks] > 0) and np.all(onward))
 
 
 def among_states(

@@ -266,7 +266,7 @@ class Linearised:
 
     @cached_property
     def stands(self) -> bool:
-        """Return whether contacts with friction, that do not slip in space, are in their states beyond doubles."""
+        """Return whether contacts with friction are in their states beyond doubles."""
         asked = self.problem.frictional and self.sure and (self.shares is None or self.system is None)
         known = self.extended_answer if asked else None
         if known is None or not parts_from(self.problem, known, self._touching, self.closed):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.derivatives import QUANTITIES
+from contactqp.analysis.friction_sharing import states_hold
 from contactqp.analysis.rate_systems import RateSystem
+from contactqp.analysis.rates import Linearised
 from contactqp.analysis.slip_law import SlipLaw
 from contactqp.linalg.extended import Extended
-from contactqp.model.coulomb import SLIP_ON
+from contactqp.model.coulomb import SLIP_ON, STICK
 from tests.analysis.slips_in_space import Reference, decimals
 
 
@@ -178,3 +181,53 @@ def test_a_law_that_is_not_told_has_no_bound(slip: float, push: float) -> None:
     assert law.is_known == (slip == push == 0.0)
     assert law.directions.double() == pytest.approx([0.6, 0.8], abs=1e-16)
     assert law.turns.double() == pytest.approx([0.7], rel=1e-15)
+
+
+def in_an_edge() -> cq.ContactProblem:
+    """Return two nodes of which one slips along two walls at once, so that other answers are not excluded."""
+    stiffness = [
+        [21.0, -9.0, -7.0, 4.0, 4.0, 4.0], [-9.0, 15.0, 9.0, -5.0, -5.0, -4.0], [-7.0, 9.0, 14.0, -8.0, 0.0, -7.0],
+        [4.0, -5.0, -8.0, 21.0, -5.0, 4.0], [4.0, -5.0, 0.0, -5.0, 15.0, -4.0], [4.0, -4.0, -7.0, 4.0, -4.0, 17.0],
+    ]  # fmt: skip
+    x, y, z, a, b, c = np.eye(6)
+    return cq.ContactProblem(
+        stiffness, [-18.25, 8.75, 13.25, -25.45, 20.1, -25.05], [x, b, -c], [-0.25, 0.5, 1.0], [y, z, c, a, a, b],
+        [0.125, 0.125, 0.25], slip_origin=[[0.0, -0.5], [-1.15, -1.2], [-1.3, 0.1]],
+    )  # fmt: skip
+
+
+def test_an_answer_that_is_not_the_only_one_is_proven_for_its_rates_by_its_states() -> None:
+    problem = in_an_edge()
+    answer = cq.solve(problem)
+    assert answer.contact_status.tolist() == ["open", "slip", "slip"]
+    assert not cq.certify(problem, **vars_of(answer)).proven
+    found = parts(problem, np.random.default_rng(1), ("displacement", "friction_force"))
+    assert 0.1 < max(found) <= 1.0
+
+
+def vars_of(answer: cq.Solution) -> dict[str, Any]:
+    return {name: getattr(answer, name) for name in ("displacement", "normal_force", "friction_force")}
+
+
+@pytest.mark.parametrize("of", ["normal", "displacement", "tangent"])
+def test_states_hold_only_beyond_what_the_answer_may_be_off_by(of: str) -> None:
+    """Of what sticks friction is beneath its bound, of what slips the slip is there; both push."""
+    held = cq.ContactProblem(
+        np.diag([2.0, 2.0, 5.0]), [0.6, 0.8, -10.0], [[0.0, 0.0, -1.0]], [0.0], np.eye(3)[:2], 0.25
+    )
+    answer = cq.solve(held if of == "tangent" else in_an_edge())
+    linearised = Linearised(answer)
+    known, contacts = linearised.extended_answer, np.arange(answer.problem.contacts)
+    assert known is not None
+    assert known.bound is not None
+    assert (linearised.status == STICK).any() == (of == "tangent")
+
+    def holds(factor: float) -> bool:
+        size = factor * np.abs(getattr(known.found, of))
+        far = replace(known, bound=replace(known.bound, **{of: size}))
+        slip = answer.slip
+        assert slip is not None
+        return states_hold(linearised.problem, linearised.status, far, slip, contacts)
+
+    assert holds(1e-12)
+    assert not holds(10.0)
