@@ -182,7 +182,7 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
     shared = np.unique(of[felt][np.max(abs(null), axis=1, initial=0.0) > SHARE])
     turns = np.zeros((len(rows), null.shape[1]))
     turns[felt] = null / size[felt, None]
-    return _that_change(turns, shared, problem.friction, state) if len(shared) <= MOST_LOOKED_AT else shared
+    return _that_change(turns, shared, problem.friction, state) if 0 < len(shared) <= MOST_LOOKED_AT else shared
 
 
 def _that_change(turns: Array, shared: Indices, mu: Vector, state: _State) -> Indices:

@@ -137,3 +137,23 @@ def test_an_iterate_that_satisfies_the_law_is_the_answer_where_no_combination_ca
     solution = cq.solve(problem)
     assert solution.displacement == pytest.approx(u, abs=1e-7)
     assert solution.certificate.passed
+
+
+@pytest.mark.parametrize("decades", [6.5, 7.0, 8.0])
+def test_a_contact_on_springs_many_decades_apart_is_solved(decades: float) -> None:
+    """Its normal and its tangent are nearly one row beside the soft spring, and yet no forces balance each other."""
+    stiffness = np.diag([10.0**decades, 10.0**-decades])
+    normal, tangent, u = np.array([[0.8, -0.6]]), np.array([[0.6, 0.8]]), np.array([0.25, -0.5])
+    problem = cq.ContactProblem(
+        stiffness=stiffness,
+        load=stiffness @ u + 5.0 * normal[0] + 0.5 * tangent[0],
+        normal=normal,
+        gap=normal @ u,
+        tangent=tangent,
+        friction=0.3,
+        slip_origin=tangent @ u,
+    )
+    solution = cq.solve(problem)
+    assert solution.displacement == pytest.approx(u, rel=1e-9)
+    assert cq.certify(problem, u, [5.0], [0.5]).passed
+    assert not cq.certify(problem, u, [5.005], [0.5]).passed
