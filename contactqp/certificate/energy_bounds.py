@@ -426,7 +426,7 @@ def _energy(state: ClosedState) -> tuple[float, float, float]:
     elastic = 0.5 * u.dot(outer - state.left.force)
     work = u.dot(load)
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
-    least = least_length(problem) * float(np.max(problem.load_size, initial=0.0))
+    least = least_length(problem, state.closed) * float(np.max(problem.load_size, initial=0.0))
     least = max(least, NOTHING_BY_DEFAULT * work_that_meets(problem, doubles))
     return elastic - work, max(elastic, abs(work), least) or float(lifted), elastic
 

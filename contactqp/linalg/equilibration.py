@@ -295,7 +295,8 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     if answer.friction_force is not None:
         meeting = meeting + along.T @ abs(answer.friction_force.ravel())
     lengths = (u / scaling.unknowns, abs(problem.tie_value) / scaling.ties)
-    length = part * max(least_length(twin) * scaling.length, *(_size(sizes) for sizes in lengths))
+    least = least_length(twin, answer.normal_force > 0)
+    length = part * max(least * scaling.length, *(_size(sizes) for sizes in lengths))
     # Where no force acts, those that would move the largest length.
     stiffest = float(np.max(problem.diagonal * scaling.unknowns**2, initial=0.0))
     acting = np.zeros(int(connected.max(initial=-1)) + 1)
