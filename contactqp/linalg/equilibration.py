@@ -277,7 +277,8 @@ def mostly_bare(problem: ContactProblem) -> bool:
 def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float) -> Nothing:
     """Return what counts as none where K gives no scale: a fraction of the largest force and length, equilibrated.
 
-    Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest.
+    Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest;
+    with friction loads alone.
 
     Parameters
     ----------
@@ -289,11 +290,11 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     """
     twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)
-    meeting = problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
-    meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force) + problem.load_size
+    meeting = problem.load_size
+    if not problem.frictional:  # else there are no bounds, which see a load that forces of two walls on each other hide
+        meeting = meeting + problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
+        meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force)
     along = np.zeros((0, len(u))) if problem.tangent is None else abs(problem.tangent)
-    if answer.friction_force is not None:
-        meeting = meeting + along.T @ abs(answer.friction_force.ravel())
     lengths = (u / scaling.unknowns, abs(problem.tie_value) / scaling.ties)
     least = least_length(twin, answer.normal_force > 0)
     length = part * max(least * scaling.length, *(_size(sizes) for sizes in lengths))

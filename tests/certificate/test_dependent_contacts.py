@@ -175,6 +175,18 @@ def test_what_two_walls_exert_on_each_other_hides_no_load(squeeze: float) -> Non
         assert cq.certify(problem, [1.0, 0.0], [squeeze + 0.5, squeeze, 0.5], friction).passed
 
 
+@pytest.mark.parametrize("squeeze", [1.0, 1e8, 1e14])
+def test_what_two_walls_exert_on_each_other_hides_no_load_in_space(squeeze: float) -> None:
+    across = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    problem = cq.ContactProblem(
+        np.zeros((3, 3)), [0.5, 0.0, 0.5], [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, -1.0, 0.0],
+        tangent=[*across, *across, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], friction=[0.5, 0.5, 0.0],
+    )  # fmt: skip
+    friction = np.zeros((3, 2))
+    assert not cq.certify(problem, [1.0, 0.0, 0.0], [squeeze, squeeze, 0.5], friction).passed
+    assert cq.certify(problem, [1.0, 0.0, 0.0], [squeeze + 0.5, squeeze, 0.5], friction).passed
+
+
 @pytest.mark.parametrize("squeeze", [1e6, 1e9, 1e12])
 def test_forces_that_cancel_excuse_no_load_of_an_elastic_body_either(squeeze: float) -> None:
     problem = cq.ContactProblem(
