@@ -215,7 +215,9 @@ def bounded(source: str, truth: Truth, certificate: Any, errors: Any) -> Iterato
     if certificate.force_bound is not None and errors.contact is not None and len(errors.contact):
         own = np.maximum(abs(truth.rounded()[1]), errors.contact)  # a small force counts as well
         own[own == 0] = 1.0
-        worst = int(np.argmax((errors.contact - certificate.force_bound) / own))
+        some = np.where(errors.contact > 0, np.inf, 0.0)  # above a bound of zero
+        given = certificate.force_bound > 0
+        worst = int(np.argmax(np.divide(errors.contact, certificate.force_bound, out=some, where=given)))
         bound, error = float(certificate.force_bound[worst] / own[worst]), float(errors.contact[worst] / own[worst])
         yield Bounded("force_bound", source, bound, error, error, slack)
 
