@@ -168,7 +168,7 @@ def impact(
     body, loads = Body(problem, M, float(time_step)), _loads(problem, load)
     with one_blas_thread(problem):
         run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
-        if "theta" in entry.knobs:
+        if "theta" in entry.knobs:  # its law is one of velocities
             _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)
         if entry.explicit:
             run.check_critical_step(penalty)

@@ -50,7 +50,7 @@ from contactqp.solving.solve import solve
 
 # A case pays for so many influence functions, which may take a part of the memory that is free.
 PER_CASE, PART_OF_MEMORY = 8, 0.125
-# Of fewer unknowns solutions take a millisecond, right to the last digit as functions are not, but for so many cases.
+# With fewer unknowns a solution takes a millisecond and has all digits: functions pay only from so many cases on.
 FEWEST_UNKNOWNS, MANY_CASES = 500, 200
 # A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
 OF_ALL = (BackendMissing, Unsupported)

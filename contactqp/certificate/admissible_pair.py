@@ -138,10 +138,10 @@ def refuse_unbalanced(
     if pair.exact:
         stiffness = (condensation.cleared_rows(problem) if pair.cleared else rows).stiffness
         left = abs((onto @ (outer - stiffness @ solution)).double())
-        shared = (
-            LEFT_BY_ROUNDING * size if problem.ties or pair.saddle.redundant else 0.0
-        )  # forces are shared in doubles
-        beyond |= left > np.maximum(EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement)), shared)
+        rounded = EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement))
+        if problem.ties or pair.saddle.redundant:  # then forces are shared among dependent rows in doubles
+            rounded = np.maximum(rounded, LEFT_BY_ROUNDING * size)
+        beyond |= left > rounded
     refined = replace(forces, displacement=np.maximum(abs(answer.displacement), abs(forces.displacement)))
     beyond &= missed > abs(motions).T @ rounded_within_parts(problem, forces_that_meet(problem, refined))
     if np.any(beyond):

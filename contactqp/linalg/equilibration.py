@@ -291,7 +291,8 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     twin, scaling = equilibrated(problem)
     u = abs(answer.displacement)
     meeting = problem.load_size
-    if not problem.frictional:  # else there are no bounds, which see a load that forces of two walls on each other hide
+    # With friction no bound would show that forces of two walls on each other hide a load, so that loads alone count.
+    if not problem.frictional:
         meeting = meeting + problem.stiffness_sizes @ u + abs(problem.normal).T @ abs(answer.normal_force)
         meeting = meeting + abs(problem.tie).T @ abs(answer.tie_force)
     along = np.zeros((0, len(u))) if problem.tangent is None else abs(problem.tangent)

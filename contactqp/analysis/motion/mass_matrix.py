@@ -35,6 +35,8 @@ LANCZOS_STEPS, STEPS_FROM_KNOWN = 24, 2
 HELD = 1e-13
 # A vector that this part is left of lies in the space that was spanned before.
 SPANNED = 1e-12
+# The cure where contacts act on all unknowns of a body, as on a single mass, and leave none for its mass.
+OTHERWISE = "take the scheme 'moreau-jean', which lets contacts have mass, or a finer mesh"
 
 
 def read_mass(mass: Any, n: int) -> Any:
@@ -80,10 +82,6 @@ def _refuse_indefinite(M: Any) -> None:
         factorise((M + sp.diags(INDEFINITE * diagonal)).tocsr()[moving][:, moving])
     except InvalidProblem as error:
         raise InvalidProblem("mass: expected a positive semidefinite matrix, got an indefinite one") from error
-
-
-# What takes bodies that touch all over, as single masses do.
-OTHERWISE = "take the scheme 'moreau-jean', which lets contacts have mass, or a finer mesh"
 
 
 def massless(mass: Any) -> Mask:
