@@ -10,7 +10,8 @@ Contact forces come from FCLIB's /solution, NumPy's .npy, JSON, CSV or plain num
             "contact" that column names the contacts, which may then stand in any order
     text    m d numbers; what follows # is a comment
 
-r is the force on the body, in the order (N, T1, T2) contact by contact. NaN is read: it is for the certificate to fail.
+r is the force on the body, in the order (N, T1, T2) contact by contact. NaN is read as it stands; the certificate
+refuses it.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ KEYS = ("force", "joint_force", "velocity", "motion")
 
 
 def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnswer, Ledger]:
-    """Return forces (m, d) for a problem, what else the file holds, and the ledger; the answer is not checked here.
+    """Return the answer stored in a file, with forces (m, d), and the ledger of what was read; nothing is certified
+    here.
 
     Raises InvalidProblem: no such file, or not m d numbers; BackendMissing: an HDF5 file, and h5py is not installed.
     """
@@ -68,7 +70,7 @@ def read_candidate_forces(path: Path, problem: LocalProblem) -> tuple[StoredAnsw
 
 
 def _read(path: Path, problem: LocalProblem, ledger: Ledger) -> tuple[StoredAnswer, str]:
-    """Return the answer, and what its format is called."""
+    """Return the answer and the name of its format."""
     head = read_bytes(path, EXPECTED, SIGNATURE_BYTES)
     if is_hdf5(head):
         return read_solution_for(path, problem.contacts, problem.dimension), "FCLIB"
@@ -155,7 +157,7 @@ def _check_header(path: Path, columns: list[str], ledger: Ledger) -> None:
 
 
 def _order(path: Path, names: list[str], problem: LocalProblem) -> list[int]:
-    """Return the place of each contact, by its name or its number."""
+    """Return the index of the contact that each row of the file belongs to, by its name or its number."""
     place: dict[str, int] = {}
     for k, name in enumerate(names):
         if name in place:
@@ -224,12 +226,12 @@ def read_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def register(reader: AnswerReader) -> None:
-    """Add a format of one's own; it is asked before those that are here."""
+    """Register a reader of another format; registered readers are tried before the package's own."""
     READERS.insert(0, reader)
 
 
 def reader_of(path: Path) -> AnswerReader:
-    """Return the reader of a file: by its contents where they tell, by its suffix, otherwise that of plain numbers."""
+    """Return the reader of a file, found by its first bytes, else by its suffix, else the reader of plain numbers."""
     head = read_bytes(path, _expected(), HEAD)
     suffix = FilePath(path).suffix.lower()
     for reader in READERS:

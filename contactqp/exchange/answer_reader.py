@@ -1,4 +1,4 @@
-"""The interface of readers of answers, and the names that programs give to unknowns."""
+"""Define the interface of the readers of answers, and match the names that programs give to unknowns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from contactqp.model.names import other_spellings
 from contactqp.model.problem import ContactProblem
 from contactqp.model.quadratic_program import answer_of_program
 
-# The parts of an answer, and what else they are called. Pressures are forces only where areas come with them.
+# The parts of an answer and their synonyms. Pressures are forces only where areas come with them.
 PARTS = ("displacement", "normal_force", "normal_pressure", "friction_force", "tie_force")
 ALIASES = {
     "u": "displacement",
@@ -30,12 +30,12 @@ Parts = Mapping[str, Array]
 
 
 class AnswerFile(NamedTuple):
-    """An answer from a file, which is not checked here: NaN fails in the certificate."""
+    """An answer as a file states it; it may hold NaN, which the certificate refuses."""
 
-    parts: Parts  # of `PARTS`, those that the file holds
+    parts: Parts  # the entries of `PARTS` that the file holds
     ledger: Ledger
-    named: frozenset[str] = frozenset()  # the parts that came by name: they are in the problem's order already
-    tie_names: tuple[str, ...] | None = None  # of tie_force: a problem has no names for its ties, those who read may
+    named: frozenset[str] = frozenset()  # the parts that were given by name and are already in the problem's order
+    tie_names: tuple[str, ...] | None = None  # names of ties, if the file has them
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class AnswerReader:
     name: str
     suffixes: tuple[str, ...]  # lower case, with their dots
     read: Callable[[Path, ContactProblem], AnswerFile]
-    recognises: Callable[[bytes], bool] | None = None  # whether these first bytes are unmistakably of this format
+    recognises: Callable[[bytes], bool] | None = None  # do a file's first bytes show this format?
 
 
 def part_called(name: str) -> str | None:
-    """Return which part of an answer a key, a column or a file of this name holds."""
+    """Return the part of an answer that a key, a column or a file of this name holds, None for other names."""
     plain = name.strip().lower().replace(" ", "_")
     found = ALIASES.get(plain, plain)
     return found if found in PARTS else None
@@ -61,7 +61,7 @@ OF_PROGRAMS = ("x", "y", "z", "z_box")
 def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any]) -> AnswerFile | None:
     """Return the answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
 
-    Raises InvalidProblem: a vector is none, or has another length than the problem asks for.
+    Raises InvalidProblem: a value is no vector, or has another length than the problem requires.
     """
     if "x" not in given or any(part_called(name) for name in given):
         return None
@@ -84,9 +84,9 @@ UNIT = re.compile(r"(.*?)(?:[\s_]*[\[({/<].*|[\s_]+(?:[kmcu\u00b5]?m|[km]n|[kmg]
 
 
 def refuse_unit(path: Path, name: str, known: Callable[[str], object] = part_called) -> None:
-    """Refuse a name such as "displacement [mm]": numbers come in the problem's units and are not converted.
+    """Refuse a name with a unit, such as "displacement [mm]": numbers must be in the problem's units.
 
-    Raises InvalidProblem: the name is known without what looks like a unit.
+    Raises InvalidProblem: the name is known once its unit is removed.
     """
     found = UNIT.fullmatch(name.strip().lower())
     if found is not None and not known(name) and known(found[1]):
@@ -95,17 +95,17 @@ def refuse_unit(path: Path, name: str, known: Callable[[str], object] = part_cal
 
 
 def names_of(problem: ContactProblem, part: str) -> list[str]:
-    """Return what the entries of a part other than tie_force are called in the problem."""
+    """Return the problem's names for the entries of a part of an answer; tie_force has none."""
     if part == "displacement":
         return [problem.dof_name(j) for j in range(problem.dimension)]
     return [problem.contact_name(i) for i in range(problem.contacts)]
 
 
 def places(path: Path, part: str, given: Sequence[str], names: Sequence[str], ledger: Ledger) -> list[int]:
-    """Return the place of each entry among the names that a file gives it, or its positions counted from 0.
+    """Return, for each name of the problem, the index of its entry in the file, found by name or by position from 0.
 
-    Unknowns that the problem does not have, such as those of nodes that are held, are left out and the ledger says so;
-    contacts that it does not have are refused. An unknown may be spelled otherwise (`contactqp.model.names`).
+    Unknowns that the problem does not have, such as those of supported nodes, are ignored with a note in the ledger;
+    contacts that it does not have are refused. Other spellings of an unknown are accepted (`contactqp.model.names`).
 
     Parameters
     ----------
@@ -155,8 +155,8 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _as_called_here(path: Path, place: Mapping[str, int], names: Sequence[str], ledger: Ledger) -> dict[str, int]:
-    """Return the same places, under the problem's names where a name is only spelled otherwise: 12.1 or 12.UX for
-    12.x.
+    """Return the same places under the problem's names, where the file spells them differently (12.1 or 12.UX for
+    12.x).
     """
     part, found = "displacement", dict(place)
     missing = [name for name in names if name not in place]
@@ -193,7 +193,7 @@ def real_array(path: Path, part: str, values: Any) -> Array:
     return array
 
 
-# What JSON has no numbers for, as programs print it and as problems are written here.
+# Numbers that JSON lacks, in the spellings of other programs and of this package.
 NOT_FINITE = ("nan", "inf", "-inf")
 
 

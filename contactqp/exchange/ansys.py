@@ -1,6 +1,6 @@
 """Ansys's binary files: stiffness and load of a .full file, displacements of a .rst file, by ansys-mapdl-reader.
 
-Unknowns are called node.axis, such as 12.x or 7.rotz, along the axes of the node. What is held is left out of the
+Unknowns are called node.axis, such as 12.x or 7.rotz, along the axes of the node. Fixed unknowns are left out of the
 stiffness. Contact results of a .rst file are not read: forces are recovered from the displacements.
 """
 
@@ -93,14 +93,14 @@ def _label(node: Any, axis: Any) -> str:
 
 
 def _read(path: Path, kind: int) -> dict[str, NDArray[Any]]:
-    """Return what the process that reads it has found."""
+    """Read a file in a process of its own and return the arrays that this process found."""
     _check_head(path, kind)
     _refuse_missing()
     return read_in_own_process(path, NAMES[kind].rpartition(".")[2], NAMES[kind])
 
 
 def _check_head(path: Path, kind: int) -> None:
-    """Refuse a file whose header is not that of this kind."""
+    """Refuse a file whose header states another kind of file."""
     size = file_size(path, NAMES[kind])
     head = read_bytes(path, NAMES[kind], 4 * (WORDS + 2))
     if len(head) < 4 * (WORDS + 2):

@@ -2,7 +2,7 @@
 
 The unknowns of the problem are called "node.axis", 12.2 or 12.y, as the .dof file beside a stored stiffness calls them;
 its contacts are called by their slave node, "12", "node 12" or like one of its unknowns. The last increment counts.
-Pressures are positive in compression, those of contact elements that are not there are zero.
+Pressures are positive in compression, and zero where CalculiX prints no contact element.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from contactqp.model.problem import ContactProblem
 DISPLACEMENT, FORCE, CONTACT = "displacement", "force", "contact"
 
 
-# What CalculiX prints at nodes: displacements, forces, contact pressures, at one time.
+# The fields that CalculiX prints at nodes: displacements, forces and contact pressures at one time.
 
 
 @dataclass(frozen=True, eq=False)
 class NodalField:
-    """One field at one time; `kind` is one of the above, or CalculiX's own name of it."""
+    """A nodal field at one time; `kind` is one of the above, or else CalculiX's own name."""
 
     kind: str
     components: tuple[str, ...]  # CalculiX's own names: D1, D2, D3; COPEN, ..., CPRESS, ...
@@ -37,7 +37,7 @@ class NodalField:
     values: Array  # (N, c)
 
     def component(self, name: str) -> Array | None:
-        """Return one component (N,), or None where the field has no such one."""
+        """Return one component (N,), None where the field does not have it."""
         return self.values[:, self.components.index(name)] if name in self.components else None
 
 
@@ -132,7 +132,7 @@ def _field_of_table(path: Path, table: _Table) -> NodalField:
 
 
 def is_dat(head: bytes) -> bool:
-    """Return whether first bytes are the title of one of CalculiX's tables, with an empty line before it."""
+    """Return whether a file begins with an empty line and the title of one of CalculiX's tables."""
     lines = [line for line in head.decode("latin-1").splitlines() if line.strip()]
     title = TITLE.fullmatch(lines[0]) if lines else None
     return title is not None and DAT_NUMBER.fullmatch(title[3]) is not None
@@ -157,7 +157,7 @@ MOST_COMPONENTS = 100
 
 @dataclass(eq=False)
 class _Block:
-    """A block of results as far as it is read."""
+    """A block of results while it is being read."""
 
     time: float
     expected: int  # nodes, as the header says
@@ -168,12 +168,11 @@ class _Block:
     named: int = 0  # those that -5 lines name
     nodes: array[int] = field(default_factory=lambda: array("q"))
     values: array[float] = field(default_factory=lambda: array("d"))
-    open: int = 0  # values of the last node that are still to come
+    open: int = 0  # values of the last node that have not been read yet
 
 
 def read_frd(path: Path) -> list[NodalField]:
-    """Return all fields of a file, in its order; strings of kinds that are none of ours are CalculiX's names
-    (STRESS, ...).
+    """Return all fields of a file, in its order; kinds that are not listed above keep CalculiX's names (STRESS, ...).
 
     Raises
     ------
@@ -309,13 +308,13 @@ Values = Array
 
 
 def read_frd_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """Return what a .frd file holds, by `answer_of`; six digits are printed of each number."""
+    """Return the answer in a .frd file by `answer_of`; its numbers have six digits."""
     ledger = Ledger(str(path))
     return answer_of(path, problem, read_frd(path), ledger, FRD_EXPECTED)
 
 
 def read_dat_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """Return what a .dat file holds, by `answer_of`; seven digits are printed of each number."""
+    """Return the answer in a .dat file by `answer_of`; its numbers have seven digits."""
     ledger = Ledger(str(path))
     tables, others = read_dat(path)
     ledger.ignored.extend(f"table: {title}" for title in others[:20])
@@ -323,7 +322,7 @@ def read_dat_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def read_displacements(path: Path) -> tuple[NodalField, Ledger]:
-    """Return the displacements of the last time in a .frd or .dat file, of all nodes that it has.
+    """Return the displacements at the last time in a .frd or .dat file, of all its nodes, and the ledger.
 
     Raises InvalidProblem: no such file, no displacements in it, a file that was cut off.
     """
@@ -343,8 +342,8 @@ def answer_of(
 ) -> AnswerFile:
     """Return the displacements and contact pressures of the last increment that has them.
 
-    Raises InvalidProblem: unknowns that are not called node.axis, an unknown of whose node nothing is printed, no
-    displacement and no contact pressure at nodes at all.
+    Raises InvalidProblem: unknowns that are not called node.axis, an unknown whose node is not printed, or a file with
+    neither displacements nor contact pressures at nodes.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ EXACT = 2**53
 def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) -> Array:
     """Return the numbers (rows, columns) of a text in which blanks separate them.
 
-    Raises InvalidProblem: no number at all, a word that is none, a line of another length.
+    Raises InvalidProblem: no number at all, a word that is not a number, a line of another length.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _without_fixed(path: Path, matrix: Any, labels: tuple[str, ...] | None, ledg
 
 
 def is_abaqus_matrix(head: bytes) -> bool:
-    """Return whether first bytes are node, direction, node, direction, value, after comments and the line of
+    """Return whether a file begins with "node, direction, node, direction, value", after comments and the line of
     *MATRIX.
     """
     lines = [line for line in head.split(b"\n")[:-1] if line.strip()] if b"\n" in head else [head]

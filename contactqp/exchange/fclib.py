@@ -47,7 +47,7 @@ from contactqp.model.solution import Solution
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Where the signature may stand: a user block of 512 bytes or a power of two times that may come before it.
 SIGNATURE_PLACES = (0, 512, 1024, 2048)
-# What an array may grow to: this many times the size of the file and some more, as in an archive of arrays.
+# The largest size of an unpacked array: this many times the size of the file, plus a constant.
 GROWTH, SMALL = 100, 2**26
 EXPECTED = "an FCLIB file (HDF5)"
 
@@ -163,7 +163,7 @@ class Hdf5File:
         return matrix_of(stored, self.path, name)
 
     def _check_growth(self, name: str, dataset: Any) -> None:
-        """Refuse what would grow beyond its file: chunks that are packed, or are not there at all."""
+        """Refuse a dataset that would unpack to far more than its file holds, packed or without stored chunks."""
         most = SMALL + GROWTH * file_size(self.path, EXPECTED)
         stated = int(dataset.dtype.itemsize) * math.prod(int(size) for size in dataset.shape)
         if stated > most:
@@ -190,7 +190,7 @@ ROLLING, ROLLING_LOCAL = "fclib_global_rolling", "fclib_local_rolling"
 
 @dataclass(frozen=True, eq=False)
 class StoredAnswer:
-    """Forces and velocities as a file holds them. They may be wrong: judge them by `contactqp.certify_local`."""
+    """Forces and velocities as a file states them; `contactqp.certify_local` says whether they are right."""
 
     force: Array  # (m, d) r, on the body, in the order (N, T1, T2)
     joint_force: Array | None = None  # (p,) l
@@ -212,15 +212,15 @@ def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | Local
     ----------
     path : path
     as_stored : bool
-        Leave the global form as the file says it: a GlobalProblem.
+        Return the global form of the file unchanged, as a GlobalProblem.
 
     Returns
     -------
     LocalProblem
-        Of a local file; and of a global one whose M is less symmetric than a ContactProblem forgives (1e-6), through
-        W = H'M^-1 H of M as it is: its `asymmetry` says how unsymmetric W became.
+        For a local file; and for a global one whose M is less symmetric than a ContactProblem accepts (1e-6), with W =
+        H'M^-1 H of the unsymmetric M; `asymmetry` measures that of W.
     ContactProblem
-        Of any other global file: stiffness M, load f, normal -H_N', gap w_N, tangent H_T', slip_origin -w_T, tie G',
+        For any other global file: stiffness M, load f, normal -H_N', gap w_N, tangent H_T', slip_origin -w_T, tie G',
         tie_value -b.
 
     Raises
@@ -238,7 +238,7 @@ def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | Local
 
 
 def solvable(stored: LocalProblem | GlobalProblem, path: Path) -> ContactProblem | LocalProblem:
-    """Return what a file says as a problem that `contactqp.solve` takes."""
+    """Return the stored problem in the form that `contactqp.solve` takes."""
     if isinstance(stored, LocalProblem):
         return stored
     with naming(path):
@@ -262,7 +262,7 @@ def read_fclib_guesses(path: Path) -> tuple[StoredAnswer, ...]:
 
 @checked
 def read_fclib_solution(path: Path) -> StoredAnswer:
-    """Return what is stored under /solution. It is a claim, and all zero in many published files.
+    """Return the answer stored under /solution, which need not be right and is all zero in many published files.
 
     Raises as `read_fclib`, also where there is none.
     """
@@ -334,7 +334,7 @@ def _read_global(file: Hdf5File) -> GlobalProblem:
 
 
 def read_solution_for(path: Path, contacts: int, dimension: int) -> StoredAnswer:
-    """Return what is stored under /solution, of a problem of this size that stands elsewhere."""
+    """Return the answer stored under /solution for a problem of this size that another file holds."""
     with opened(path) as file:
         if not file.has("solution"):
             raise wrong(path, "solution", "a stored solution", "none")

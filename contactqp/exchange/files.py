@@ -1,4 +1,4 @@
-"""Files read with every refusal in one line and a ledger of what was read, and files written whole or not at all.
+"""Read files with one-line errors and a ledger of what was read, and write files whole or not at all.
 
 The interface of matrix readers, and FCLIB's and SciPy's ways to store a sparse matrix.
 """
@@ -77,7 +77,7 @@ def check_friction(path: Path, place: str, friction: Array) -> None:
 
 
 def number(word: str) -> float:
-    """Return a number as programs write it, 1.0D+03 of Fortran too; Python's own 1_000 is none.
+    """Return the number that a word states, also with Fortran's exponent as in 1.0D+03; Python's 1_000 is refused.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def number(word: str) -> float:
 
 
 def is_number(word: str) -> bool:
-    """Return whether a word of a text is one, be it NaN."""
+    """Return whether a word is a number, NaN included."""
     try:
         number(word)
     except ValueError:
@@ -99,7 +99,7 @@ def is_number(word: str) -> bool:
 
 
 def no_number(path: Path, place: str, word: str) -> InvalidProblem:
-    """Return the words of an error for a text that should be a number."""
+    """Return the error for a word that should be a number."""
     comma = " (a decimal comma? numbers have points)" if DECIMAL_COMMA.fullmatch(word.strip()) else ""
     return wrong(path, place, "a number", f"{word[:40]!r}{comma}")
 
@@ -120,7 +120,7 @@ def file_size(path: Path, expected: str) -> int:
     Raises
     ------
     InvalidProblem
-        There is none of that name, or it is a folder, a pipe or a device: these have no size to hold a header against.
+        There is no such file, or it is a folder, a pipe or a device, which have no size to compare a header with.
     """
     try:
         found = os.stat(path)
@@ -135,14 +135,14 @@ def file_size(path: Path, expected: str) -> int:
     return found.st_size
 
 
-# First bytes that tell every format which can be told by its content.
+# This many first bytes suffice to recognise every format that its content reveals.
 HEAD = 512
 
 
 def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
-    """Return the first bytes of a file without the mark of UTF-8, which says nothing of its format, or all bytes.
+    """Return the first `most` bytes of a file, all of them by default, without the byte order mark of UTF-8.
 
-    Raises InvalidProblem: there is none of that name, or it cannot be read, or all of it is more than `LARGEST_WHOLE`.
+    Raises InvalidProblem: there is no such file, it cannot be read, or all of it would be more than `LARGEST_WHOLE`.
     """
     size = file_size(path, expected)
     if most < 0 and size > LARGEST_WHOLE:
@@ -194,20 +194,20 @@ def _unreadable(path: Path, expected: str, error: Exception) -> InvalidProblem:
     return InvalidProblem(f"{path}: expected {expected} ({getattr(error, 'strerror', None) or one_line(error)})")
 
 
-# What became of a file on its way into a problem or an answer: nothing is dropped or assumed in silence.
+# The kinds of notes in a ledger: how a file became a problem or an answer.
 
 KINDS = ("read", "converted", "assumed", "ignored")
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """What was read, converted, assumed and ignored of one source, a line each; readers add to it as they go."""
+    """Notes on what was read, converted, assumed and ignored of one source, one line each; readers append to it."""
 
     source: str
     read: list[str] = field(default_factory=list)
     converted: list[str] = field(default_factory=list)  # other signs, units or orders than ours
     assumed: list[str] = field(default_factory=list)  # what the source does not say
-    ignored: list[str] = field(default_factory=list)  # what it says and no problem or answer has a place for
+    ignored: list[str] = field(default_factory=list)  # what neither a problem nor an answer can hold
 
     def note_rigid_change(self, part: float) -> None:
         """Note the part of a stiffness, if any, that was taken for the rounding of printed digits."""
@@ -226,9 +226,9 @@ class Ledger:
         return {"source": self.source} | {kind: list(getattr(self, kind)) for kind in KINDS}
 
 
-# The lines of a text file that another program printed, one after the other: files may be larger than memory.
+# Text files of other programs are read line by line, since they may be larger than memory.
 
-# Programs that print tables of numbers break their lines; what does not is none of their files.
+# The longest line that is accepted; programs that print tables of numbers break their lines.
 LONGEST = 2**16
 
 
@@ -277,7 +277,7 @@ def check_file(file: str | FilePath, suffixes: tuple[str, ...]) -> FilePath:
 
 
 def check_installed(package: str, purpose: str) -> None:
-    """Refuse where the package is missing; it is not imported to find out.
+    """Raise BackendMissing where a package is not installed; it is looked up without importing it.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: b
 
     Parameters
     ----------
-    durable : it is on the disk before this returns: a machine that dies afterwards does not lose it
+    durable : whether the file is forced onto the disk before this returns, so that a crash afterwards does not lose it
     """
     beside = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
     try:
@@ -311,7 +311,7 @@ def write_whole(file: FilePath, write: Callable[[FilePath], None], *, durable: b
 
 
 def _onto_disk(path: FilePath) -> None:
-    """Force what the system still holds in memory of a file or a folder onto the disk."""
+    """Flush a file or a folder from the system's cache to the disk."""
     place = os.open(path, os.O_RDONLY)
     try:
         os.fsync(place)
@@ -435,8 +435,8 @@ def stored_form(matrix: Any, storage: Storage, name: str) -> StoredMatrix:
 class MatrixFile(NamedTuple):
     """A matrix from a file."""
 
-    matrix: Any  # dense or sparse, any numbers: NaN is for the problem to refuse, which knows what they mean
-    labels: tuple[str, ...] | None  # what the unknowns are called, such as "12.x", in the order of the columns
+    matrix: Any  # dense or sparse; NaN is allowed here and refused by the problem
+    labels: tuple[str, ...] | None  # names of the unknowns, such as "12.x", in the order of the columns
     ledger: Ledger
 
 

@@ -1,5 +1,6 @@
-"""From bodies to their contacts alone: W = H'M^-1 H, q = H'M^-1 f + w, and for joints V = H'M^-1 G, R = G'M^-1 G,
-s = G'M^-1 f + b (Acary, Bremond, Huber 2018)."""
+"""Eliminate the bodies and keep the contacts, the local form: W = H'M^-1 H, q = H'M^-1 f + w, and for joints V = H'M^-1
+G, R = G'M^-1 G, s = G'M^-1 f + b (Acary, Bremond, Huber 2018).
+"""
 
 from __future__ import annotations
 
@@ -29,13 +30,13 @@ class SingularMatrix(InvalidProblem):
 def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> LocalProblem:
     """Return the local form of a problem with bodies, each contact's components in the order (N, T1, T2).
 
-    Of a symmetric M the Delassus operator W is symmetrised, which takes away rounding only; of an unsymmetric M it is
-    as it comes out, and `asymmetry` says how unsymmetric that is.
+    For a symmetric M the Delassus operator W is symmetrised, which removes rounding only; for an unsymmetric M it is
+    left as computed, and `asymmetry` measures it.
 
     Raises
     ------
     InvalidProblem
-        M is singular: bodies that nothing but contact holds have no local form; or there are no tangential rows.
+        M is singular, as for bodies held by contact alone, or there are no tangential rows.
     Unsupported
         M is not symmetric and there are joints: the influence of joints on contacts is then not that of contacts on
         joints.

@@ -24,7 +24,7 @@ GZIP = b"\x1f\x8b"
 
 
 def read_matrix(path: Path) -> MatrixFile:
-    """Return a matrix (or a vector), what its unknowns are called, and the ledger of what was read and converted.
+    """Return a matrix (or a vector), the names of its unknowns, and the ledger of what was read and converted.
 
     Raises
     ------
@@ -39,12 +39,12 @@ def read_matrix(path: Path) -> MatrixFile:
 
 
 def register(reader: MatrixReader) -> None:
-    """Add a format of one's own; it is asked before those that are here."""
+    """Register a reader of another format; registered readers are tried before the package's own."""
     READERS.insert(0, reader)
 
 
 def reader_of(path: Path) -> MatrixReader:
-    """Return the reader of a file: by its contents where they tell, by its suffix, otherwise that of plain text."""
+    """Return the reader of a file, found by its first bytes, else by its suffix, else the reader of plain text."""
     head = read_bytes(path, _expected(), HEAD)
     if head.startswith(GZIP):
         raise wrong(path, "content", _expected(), "a file compressed by gzip; expand it first")
@@ -61,7 +61,7 @@ def companions() -> frozenset[str]:
 
 
 def stiffness_suffixes() -> frozenset[str]:
-    """Return the suffixes of files that are a stiffness whatever they are called."""
+    """Return the suffixes of formats whose files always hold a stiffness."""
     return frozenset(suffix for reader in READERS if reader.stiffness for suffix in reader.suffixes)
 
 

@@ -1,6 +1,6 @@
 """NumPy's .npy and .npz: arrays of real numbers, and SciPy's sparse matrices. Nothing is unpickled.
 
-What a header or an archive says of its size is held against the file before anything is made.
+Sizes stated by a header or an archive are checked against the file before memory is allocated.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ SINGLE_OBJECT = re.compile(
 NAME = "NumPy's .npy or .npz"
 NUMPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 LONGEST_HEADER = 4096
-# What an archive may grow to: this many times its size and some more. DEFLATE reaches 1032 times, on nothing but zeros.
+# The largest unpacked size of an archive: this many times its own size, plus a constant. DEFLATE reaches 1032 times, on
+# nothing but zeros.
 GROWTH, SMALL = 100, 2**26
 DAMAGED = (
     zipfile.BadZipFile, zlib.error, struct.error, OSError, EOFError, ValueError, RuntimeError, NotImplementedError,
@@ -110,7 +111,8 @@ def names_in_npz(path: Path) -> set[str]:
 def read_npz(path: Path, none_for_objects: bool = False) -> dict[str, Any]:
     """Return all arrays of an archive, by name; texts come as arrays of bytes.
 
-    `none_for_objects` takes single Python objects for None, which are told by their header and never unpickled.
+    With `none_for_objects` a single pickled Python object, recognised by its header and never unpickled, is read as
+    None.
     """
     size = file_size(path, NAME)
     try:

@@ -46,7 +46,7 @@ from contactqp.model.problem import ContactProblem
 
 JSON = "JSON"
 COMPONENTS = "friction_components"
-# Keys by which what `contactqp run --json` prints is known.
+# Keys that identify the output of `contactqp run --json`.
 PRINTED = frozenset(("solved_by", "contact_status", "certificate"))
 OBJECT = "a JSON file with displacement and normal_force"
 
@@ -135,7 +135,7 @@ def load_json(path: Path, expected: str) -> Any:
 
 
 def is_json_answer(head: bytes) -> bool:
-    """Return whether first bytes begin an object, alone or as the first in a list."""
+    """Return whether a file begins with a JSON object, alone or as the first in a list."""
     return head.removeprefix(BOM_UTF8).replace(b"[", b" ", 1).lstrip()[:1] == b"{"
 
 
@@ -206,9 +206,9 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
 
 
 def _refuse_forces(table: Table, column: str) -> None:
-    """Refuse a column of forces that would be ignored: an answer whose forces are not read may be right without them.
+    """Refuse a column of forces that would otherwise be ignored, so that wrong forces cannot pass unread.
 
-    Raises InvalidProblem: the column's name is one of forces, as far as names tell.
+    Raises InvalidProblem: the column's name is one that programs give to forces.
     """
     if part_called(column) is None and LIKE_FORCES.match(column.strip().lower()) is None:
         return
@@ -283,7 +283,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
-    """Return one array from any format that matrices come in; its part by the file's name, or by its length.
+    """Return an answer of one array in any format of matrices; the file's name or its length says which part it is.
 
     Raises InvalidProblem: no array, or one of a length that may be either or neither.
     """
@@ -301,7 +301,7 @@ def read_array_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def _refuse_table(path: Path) -> None:
-    """Refuse a table whose first column is none that is known, in words of tables."""
+    """Refuse a CSV table whose first column is not a known key, with a message that lists the keys."""
     head = read_bytes(path, ARRAYS, HEAD)
     if matrix_files.reader_of(path) is not text_matrices.TEXT or b"\0" in head:
         return

@@ -1,8 +1,8 @@
-"""Read a problem from a file or a folder, whatever its format: by what is in it, not by its name.
+"""Read a problem from a file or a folder of any format, recognised by its content.
 
 Quadratic programs, QPS and MPS, the .mat of qpbenchmark and the .npz of `qpsolvers.Problem.save`, become a
-ContactProblem as `ContactProblem.from_qp` makes it. A constant of the energy is left out, which the ledger says: it
-moves nothing.
+ContactProblem as `ContactProblem.from_qp` makes it. A constant term of the energy is dropped with a note in the ledger,
+as it does not change the answer.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 QPS, MATLAB = (".qps", ".mps"), (".mat",)
-# What qpsolvers calls the parts of a problem; those that it does not have are pickled as None and never unpickled.
+# qpsolvers' names for the parts of a problem; missing parts are stored as a pickled None, which is never unpickled.
 PARTS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
-# From here on a bound is none, in the .mat files of qpbenchmark and in HiGHS.
+# Bounds of at least this size mean "unbounded" in the .mat files of qpbenchmark and in HiGHS.
 INFINITE = 1e20
 
 
 def is_quadratic_program(path: Path) -> bool:
-    """Return whether a file is a quadratic program, by its suffix or, an archive, by the names in it."""
+    """Return whether a file is a quadratic program, by its suffix or, for an archive, by the names in it."""
     suffix = FilePath(path).suffix.lower()
     if suffix in (*QPS, *MATLAB):
         return True
@@ -95,7 +95,7 @@ def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
-    """Read a program by HiGHS, which turns the signs of one that is to be maximised."""
+    """Read a program with HiGHS; the signs of one that is to be maximised are reversed."""
     if importlib.util.find_spec("highspy") is None:
         raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
     refuse_utf_16(path, read_bytes(path, EXPECTED, HEAD))
@@ -108,7 +108,7 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
 
 
 def _names(given: Any, count: int) -> list[str] | None:
-    """Return the names in a file, none where it does not name each of so many differently."""
+    """Return the names in a file, None unless they are `count` different ones."""
     names = [name.decode("utf-8", errors="replace") for name in given.ravel().tolist()]
     return names if len(names) == len(set(names)) == count else None
 
@@ -153,7 +153,7 @@ EXPECTED = (
 )
 HEAD = max(SIGNATURE_PLACES) + len(SIGNATURE)
 HDF5, TEXT, ARCHIVE, DECK = (".hdf5", ".h5"), (".dat",), (".npz",), (".inp",)
-# Decks become bodies before they are problems: what reads them lies above this room, and is found by its name.
+# Decks are read by `contactqp.scene`, a layer above this one, which is therefore imported by name.
 DECK_READER = "contactqp.scene.deck.deck:read_deck_problem"
 
 
@@ -161,7 +161,7 @@ DECK_READER = "contactqp.scene.deck.deck:read_deck_problem"
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
     """Return the problem in a folder or .npz of matrices, a quadratic program, a deck, or a file of FCLIB or Siconos.
 
-    Parameters, and what is returned and raised, as `read_fclib`; matrices and decks make a ContactProblem.
+    Parameters, results and errors are those of `read_fclib`; matrices and decks make a ContactProblem.
     """
     return read_problem_with_ledger(path, as_stored=as_stored)[0]
 
@@ -208,8 +208,7 @@ def is_of_matrices(path: Path) -> bool:
 
 
 def is_problem_file(path: Path) -> bool:
-    """Return whether `read_problem` is the one to ask, by content or by a suffix that says so; otherwise it is a
-    case file.
+    """Return whether a file or folder is one that `read_problem` reads, by content or suffix, and not a case file.
 
     A folder is one if it holds a problem.json or a stiffness.
     """

@@ -1,4 +1,4 @@
-"""A problem as a folder of matrices: with a problem.json that says what is what, or by the names of its files alone.
+"""Read a problem from a folder of matrices, described by a problem.json or by the names of the files alone.
 
     problem.json   format, version, name, description, unknowns, contacts, ties, units, files, dof_names, contact_names,
                    tie_names
@@ -83,7 +83,7 @@ def _texts(path: Path, name: str, values: NDArray[Any]) -> list[str]:
 
 
 TABLES = ("contacts", "ties")
-# Of problem.json: what is read, and what is for people, also of the gallery's problems.
+# The keys of problem.json: those that are read, and those that only inform readers.
 ABOUT = ("kind", "difficulty", "source", "formula", "unique_displacement", "unique_forces", "exact_data", "rounding")
 KEYS = ("format", "version", "unknowns", "contacts", "ties", "units", *NAMES, "files")
 WORDS = ("name", "description", "signs", *ABOUT)
@@ -92,7 +92,7 @@ UNLISTED = f"not among the files of {PROBLEM_FILE}"
 
 @dataclass
 class Found:
-    """Which file of a folder is what."""
+    """The files of a folder by the part of the problem that they hold."""
 
     files: dict[str, FilePath] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
@@ -120,8 +120,8 @@ def is_problem_folder(path: Path) -> bool:
 def read_problem_folder(folder: Path) -> tuple[ContactProblem, Ledger]:
     """Return the problem in a folder, and the ledger of its files.
 
-    Raises InvalidProblem: no such folder, a part that is missing or there twice, files that are none of what they
-    should be; Unsupported, BackendMissing: of one of the files.
+    Raises InvalidProblem: no such folder, a part that is missing or given twice, a file with the wrong content;
+    Unsupported and BackendMissing as the reader of each file.
     """
     root = FilePath(folder)
     if not root.is_dir():
@@ -199,7 +199,7 @@ def _by_names(root: FilePath) -> Found:
 def _read_parts(
     root: FilePath, found: Found, stated: Mapping[str, Any], ledger: Ledger
 ) -> tuple[dict[str, Any], dict[str, Sequence[str] | None]]:
-    """Return the parts; and the names of unknowns, contacts and ties."""
+    """Return the parts of the problem, and the names of unknowns, contacts and ties."""
     files = dict(found.files)
     stiffness = files.pop("stiffness")
     K, labels, of_stiffness = read_matrix(stiffness)
@@ -245,7 +245,7 @@ def _given_names(
 def _unknown_names(
     root: FilePath, given: Sequence[str] | None, labels: Sequence[str] | None, count: int, ledger: Ledger
 ) -> Sequence[str] | None:
-    """Return the names of the unknowns: those given, else those of the stiffness; the same ones in another order are
+    """Return the names of the unknowns, those given or else those of the stiffness; both in different orders are
     refused.
     """
     if given is not None and len(given) != count:
@@ -277,7 +277,7 @@ def _matrix(file: FilePath, part: str, ledger: Ledger) -> Any:
 
 
 def _load_of(stiffness: FilePath, parts: dict[str, Any], ledger: Ledger) -> None:
-    """Take the load that is stored with the stiffness, if its format has one and it is there."""
+    """Add the load that is stored with the stiffness, if there is one."""
     reader = reader_of(stiffness)
     stored = reader.load(stiffness) if reader.load is not None else None
     if stored is not None:
@@ -291,6 +291,6 @@ def _names(file: FilePath) -> list[str]:
 
 
 def _add(ledger: Ledger, file: FilePath, own: Ledger, part: str) -> None:
-    """Take over what a file's own ledger says."""
+    """Append the notes of one file's ledger to that of the folder."""
     for kind, line in own:
         getattr(ledger, kind).append(f"{part}: {file.name}: {line}" if part != "load" else f"{file.name}: {line}")

@@ -1,4 +1,4 @@
-"""A problem, and its answer, written as a folder that any code with a Matrix Market reader can take up."""
+"""Write a problem and its answer as a folder that any code with a Matrix Market reader can read."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
-# From matrices and vectors that came under names to a ContactProblem; what is missing is refused or, where it has one
-# plain meaning, taken and said.
+# Build a ContactProblem from named matrices and vectors; a missing part is refused or, where it has an obvious default,
+# assumed with a note in the ledger.
 
-# What the parts of a problem are called, in files and in archives.
+# The names of the parts of a problem in files and archives.
 SYMBOLS = {
     "stiffness": "K",
     "load": "f",
@@ -39,9 +39,7 @@ MATRICES = ("stiffness", "normal", "tangent", "tie")
 
 
 def part_called(name: str) -> str | None:
-    """Return which part of a problem something of this name is: its name, or its symbol in the case that it is
-    written in.
-    """
+    """Return the part of a problem that a name or a symbol (case-sensitive) denotes, None for others."""
     if name.lower() in SYMBOLS:
         return name.lower()
     return next((part for part, symbol in SYMBOLS.items() if name == symbol), None)
@@ -58,7 +56,7 @@ def problem_of(
     units: Mapping[str, str] | None = None,
     ties: Any = None,
 ) -> ContactProblem:
-    """Return the problem of these parts; one coefficient of friction serves all contacts. `ties`: how many are stated.
+    """Return the contact problem of these parts.
 
     Raises InvalidProblem: a part is missing, or they are no contact problem together.
 
@@ -150,7 +148,7 @@ def write_problem(
     Raises
     ------
     InvalidProblem
-        An answer with another key, or something in `about` that is said by the problem itself.
+        An answer with an unknown key, or a key in `about` that the problem itself states.
     """
     root, m = FilePath(folder), problem.contacts
     if os.path.exists(root) and not root.is_dir():
@@ -210,7 +208,7 @@ def _write_json(path: FilePath, data: Mapping[str, Any]) -> None:
 
 
 def _answer_data(answer: Solution | Mapping[str, Any]) -> dict[str, Any]:
-    """Return numbers as numbers and, where they are known as fractions, as fractions too."""
+    """Return the answer for JSON: numbers, and under "exact" those that are Fractions."""
     whole = isinstance(answer, Solution)
     given = {part: getattr(answer, part) for part in ANSWER_PARTS} if whole else dict(answer)  # type: ignore[arg-type]
     exact = {key: _listed(values, _text) for key, values in dict(given.pop("exact", None) or {}).items()}

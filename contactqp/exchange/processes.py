@@ -1,12 +1,10 @@
-"""Processes of other programs: CalculiX on a deck, and compiled libraries that read a file.
+"""Run CalculiX on a deck, and compiled libraries that read a file, in processes of their own.
 
-CalculiX runs in a folder of its own, with a limit of time; what it prints is kept there. The deck that is run is the
-one that is given, with its included files in their places, but for what is printed: the displacements of all nodes are
-printed in place of whatever it asks for.
+CalculiX runs in a folder of its own with a time limit, and its output is kept there. The deck is the given one with
+included files inserted, except that its output requests are replaced by the displacements of all nodes.
 
-Compiled libraries have no bounds on what a damaged file may point at: they can end their interpreter, or hang. In a
-process of its own that ends a process which writes what it has read to a .npz file: ansys-mapdl-reader for .full and
-.rst, SciPy for .mat and HiGHS for .qps.
+Compiled libraries do not check the offsets in a damaged file and may crash or hang. So a child process calls them and
+writes what it has read to a .npz file: ansys-mapdl-reader for .full and .rst, SciPy for .mat and HiGHS for .qps.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from contactqp.exchange.files import Path, file_size, one_line, wrong
 from contactqp.exchange.numpy_files import read_npz
 from contactqp.model.arrays import Index
 
-# Address space beyond what the file itself may take up: one reader brings a graphics library with it.
+# Address space allowed beyond the size of the file: one reader loads a graphics library.
 MEMORY, TIMES = 2**33, 64
 SECONDS = 120
 # The parts of a quadratic program in qpbenchmark's .mat files.
@@ -78,7 +76,7 @@ def main(arguments: list[str]) -> int:
             warnings.simplefilter("ignore")
             found = READERS[kind](source)
         np.savez(output, **found)
-    # A reader that is not ours raises whatever it stumbles over in a damaged file.
+    # Other packages' readers raise arbitrary exceptions on a damaged file.
     except Exception as error:  # noqa: BLE001
         print(f"{type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
@@ -139,7 +137,7 @@ def qps(source: str) -> dict[str, Any]:
     reader: Any = highspy.Highs()  # type: ignore[no-untyped-call]
     reader.silent()
     with tempfile.TemporaryDirectory() as folder:
-        copy = FilePath(folder, "program.mps")  # HiGHS goes by the suffix, and knows none for QPS
+        copy = FilePath(folder, "program.mps")  # HiGHS chooses the reader by the suffix and has none for QPS
         copy.symlink_to(source)
         status = reader.readModel(str(copy))
     if status == highspy.HighsStatus.kError:
@@ -199,7 +197,7 @@ LONGEST_LOG = 2**20
 
 @dataclass(frozen=True)
 class CalculixRun:
-    """One run that ended.
+    """A completed run of CalculiX.
 
     Attributes
     ----------
@@ -231,8 +229,8 @@ def calculix_command() -> str:
 def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) -> CalculixRun:
     """Run a deck in a folder and return where its results are.
 
-    Raises BackendMissing: CalculiX is not installed; BackendFailed: it did not end in time, ended with an error, or
-    left no displacements; its own words, and where all of them are; InvalidProblem: the folder cannot be made.
+    Raises BackendMissing: CalculiX is not installed; BackendFailed: it exceeded the time limit, ended with an error, or
+    left no displacements; the message quotes CalculiX and names its log; InvalidProblem: the folder cannot be created.
 
     Parameters
     ----------
@@ -267,12 +265,12 @@ def run_calculix(deck: Path, nodes: Index, folder: FilePath, time_limit: float) 
 
 
 def one_line_of(errors: list[str]) -> str:
-    """Return the first error that a program printed, shortened, or a text that it printed none."""
+    """Return the first error that a program printed, shortened, or a text stating that there was none."""
     return one_line(ValueError(errors[0])) if errors else "it names no error"
 
 
 def _run(command: list[str], folder: FilePath, log: FilePath, time_limit: float) -> int | None:
-    """Return the exit code, negative for a signal; None where the time was up."""
+    """Return the exit code, negative for a signal, None where the time limit was reached."""
     environment = os.environ | {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
     with open(log, "wb") as output:
         try:
@@ -293,7 +291,7 @@ def _run(command: list[str], folder: FilePath, log: FilePath, time_limit: float)
 
 
 def _tail(log: FilePath) -> str:
-    """Return the last of what was printed: an endless run may have printed gigabytes."""
+    """Return the end of the log, which may be gigabytes long."""
     with open(log, "rb") as file:
         file.seek(max(0, log.stat().st_size - LONGEST_LOG))
         return file.read().decode("latin-1")
@@ -347,9 +345,9 @@ def _lines(cards: Iterable[Card], nodes: Index) -> Iterator[str]:
 
 
 def _head(card: Card) -> str:
-    """Return a keyword with its parameters, without blanks around them, on which CalculiX stumbles.
+    """Return a keyword with its parameters; blanks around them, which CalculiX misreads, are removed.
 
-    It has no type of contact by default.
+    The type of a contact pair is always written, as CalculiX has no default.
     """
     if card.keyword.any_parameter:
         return card.head.text
@@ -361,7 +359,7 @@ def _head(card: Card) -> str:
 
 
 def _data(card: Card, line: Line) -> Iterator[str]:
-    """Yield a line of data; CalculiX has no words for supports, and gravity of everything is that of all sections."""
+    """Yield lines of data with words for supports such as ENCASTRE, and gravity on all elements, in CalculiX's form."""
     words, keyword = line.words, card.keyword.name
     if keyword == "BOUNDARY" and len(words) == 2 and words[1] in HELD:
         yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in HELD[words[1]])

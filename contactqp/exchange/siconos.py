@@ -54,7 +54,7 @@ class Words:
         return len(self._words) - self._next
 
     def peek(self) -> str | None:
-        """Return the next word, if there is one."""
+        """Return the next word without taking it, None at the end."""
         return self._words[self._next] if self.unread else None
 
     def ahead(self, count: int) -> list[str]:

@@ -55,12 +55,12 @@ def cell_number(path: Path, line: int, cell: str) -> float:
 
 
 def is_table(path: Path, key: str) -> bool:
-    """Return whether the first line that says anything begins with a key."""
+    """Return whether the first line that is neither empty nor a comment begins with a key."""
     return begins_with(read_bytes(path, EXPECTED, HEAD), (key,))
 
 
 def begins_with(head: bytes, keys: Collection[str]) -> bool:
-    """Return whether the first cell of what the first bytes of a file say is one of the keys."""
+    """Return whether the first cell of a file is one of the keys."""
     for line in head.decode("utf-8-sig", errors="replace").splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             return re.split(r"[,;\t]", line)[0].strip().strip('"').lower() in keys
@@ -132,7 +132,7 @@ ORIGINS = ("slip_origin", "slip_origin_2")
 
 
 class Unknowns:
-    """The places of unknowns by their names, also as others spell them, or by position where there are no names."""
+    """The indices of unknowns by name, in any known spelling, or by position where there are no names."""
 
     def __init__(self, names: Sequence[str] | None, count: int) -> None:
         self.count = count
@@ -156,7 +156,7 @@ class Unknowns:
         return self._place[found[0]]
 
     def say(self, what: str, ledger: Ledger) -> None:
-        """Write into the ledger what was assumed of names, once for each table."""
+        """Note in the ledger what was assumed about names, once for each table."""
         if not self.named:
             ledger.assumed.append(f"{what}: the stiffness has no names: unknowns are positions counted from 0")
         if self.respelled:
@@ -287,7 +287,7 @@ def _say(table: Table, names: list[str], what: str, unknowns: Unknowns, ledger: 
 
 @dataclass(frozen=True)
 class CaseRows:
-    """Load cases by name; each entry is a number, or None where a cell is empty and the problem's own number counts."""
+    """Load cases by name; each entry is a number, or None for an empty cell, where the problem's own value holds."""
 
     names: tuple[str, ...]
     loads: dict[int, tuple[float | None, ...]]  # by the place of the unknown
@@ -333,7 +333,7 @@ def read_case_rows(path: Path, unknowns: Sequence[str], contacts: Sequence[str])
 
 
 def _spelled(names: Sequence[str]) -> dict[str, list[int]]:
-    """Return the places of names as columns are spelled: in small letters, without blanks."""
+    """Return the indices of the names by their spelling in column heads: lower case, without blanks."""
     found: dict[str, list[int]] = {}
     for place, name in enumerate(names):
         found.setdefault(name.lower().replace(" ", "_"), []).append(place)

@@ -5,9 +5,9 @@
     rows columns [entries]
     row column value     or     value, column by column
 
-What a Matrix Market file states of its size is held against its bytes before anything is made. SciPy's reader, written
-in C++, ends the interpreter on some damaged files, and so is not asked. In plain text a line is a row, its numbers
-apart by commas, semicolons or blanks.
+Sizes stated by a Matrix Market file are checked against its length before memory is allocated. SciPy's reader, written
+in C++, crashes on some damaged files and is not used. In plain text a line is a row, its numbers apart by commas,
+semicolons or blanks.
 
 Harwell-Boeing and Rutherford-Boeing text: assembled real matrices, symmetric too, and the load beside them.
 
@@ -17,8 +17,9 @@ Harwell-Boeing and Rutherford-Boeing text: assembled real matrices, symmetric to
     Fortran formats of pointers, row numbers, values, right-hand sides
     type of the right-hand sides, how many                             only where there are any
 
-Then the numbers in columns of the formats' widths (Duff, Grimes, Lewis 1992). SciPy's reader takes unsymmetric files
-without right-hand sides only; what finite-element codes export is symmetric, and the right-hand side is the load.
+Then follow the numbers in columns of the formats' widths (Duff, Grimes, Lewis 1992). SciPy's reader takes only
+unsymmetric files without right-hand sides; finite-element codes export symmetric ones whose right-hand side is the
+load.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ LONGEST_LINE, BLOCK = 2**16, 2**20
 
 @dataclass(frozen=True)
 class Head:
-    """What the first lines say."""
+    """The header of a Matrix Market file."""
 
     form: str
     symmetry: str
@@ -75,8 +76,8 @@ class Head:
 
 
 def read_matrix_market(path: Path) -> MatrixFile:
-    """Return a matrix in coordinate (CSR) or array form (dense); of a symmetric one both halves. Entries stored
-    twice add up.
+    """Return the matrix in CSR (coordinate form) or dense (array form), with both halves of a symmetric one; repeated
+    entries are summed.
 
     Raises InvalidProblem: no Matrix Market, sizes that the file cannot hold, too few or too many numbers, an index
     outside; Unsupported: complex numbers, a pattern without values.
@@ -170,7 +171,7 @@ def _coordinates(path: Path, head: Head, values: Array) -> sp.csr_array:
 
 
 def _different(head: Head, values: Array) -> int:
-    """Return how many places of the matrix are in the list."""
+    """Return the number of distinct entries in a list."""
     row, column = values.reshape(-1, 3)[:, :2].astype(np.int64).T
     order = np.lexsort((column, row))
     row, column = row[order], column[order]
@@ -195,7 +196,7 @@ MATRIX_MARKET = MatrixReader(MATRIX_MARKET_NAME, (".mtx", ".mm"), read_matrix_ma
 
 TEXT_NAME = "text or CSV"
 EXPECTED = "numbers in text or CSV"
-# A row of a million numbers; what has no line breaks at all is no table.
+# The longest line that is accepted, a row of about a million numbers.
 LONGEST_TEXT_LINE = 2**24
 COMMENTS = ("#", "%", "//")
 COMMA_IN_NUMBER = re.compile(r"\d,\d")
@@ -203,7 +204,7 @@ SEPARATORS = re.compile(r"\s*[,;]\s*|\s+")
 
 
 def read_text_matrix(path: Path) -> MatrixFile:
-    """Return a dense matrix; a first line of names is what its unknowns are called. Comments begin with # or %.
+    """Return a dense matrix; a first line of words gives the names of its unknowns. Comments begin with # or %.
 
     Raises
     ------
@@ -306,7 +307,7 @@ class Header:
 
 
 def read_harwell_boeing(path: Path) -> MatrixFile:
-    """Return the matrix; of a symmetric one both halves.
+    """Return the matrix, both halves of a symmetric one.
 
     Raises InvalidProblem: no such file, a header or a number that is none, sizes that the file cannot hold, lines that
     are missing; Unsupported: complex numbers, a pattern, elements that are not assembled.
@@ -411,7 +412,7 @@ def _fields(path: Path, lines: list[str], first: int, header: Header, part: int,
     found: list[str] = []
     for line in lines[first : first + needed]:
         here = min(form.repeat, count - len(found))
-        words = line.split()  # SciPy writes narrower columns than the format it states; blanks part them all the same
+        words = line.split()  # SciPy writes narrower columns than the format it states, but separates them by blanks
         columns = [line[k : k + form.width] for k in range(0, form.width * here, form.width)]
         found += words if len(words) == here else columns
     return found
@@ -430,7 +431,7 @@ def _values(path: Path, lines: list[str], first: int, header: Header, part: int,
     form = _format(path, header.formats[part], "iedfg")
     fields = _fields(path, lines, first, header, part, form, count)
     words = [BARE_EXPONENT.sub("e", field.strip().lower().replace("d", "e")) for field in fields]
-    if form.letter == "i" or all("." in word for word in words):  # without a point Fortran puts one somewhere
+    if form.letter == "i" or all("." in word for word in words):  # Fortran inserts missing points
         try:
             return np.array([float(word) for word in words])
         except ValueError:

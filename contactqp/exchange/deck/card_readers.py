@@ -90,7 +90,7 @@ def read_elements(model: DeckModel, card: Card) -> None:
 
 
 def read_set(model: DeckModel, card: Card) -> None:
-    """Add labels, or the members of sets that stand further up, to a set of nodes or of elements."""
+    """Add labels, or the members of sets defined above, to a set of nodes or of elements."""
     sets = model.node_sets if card.keyword.name == "NSET" else model.element_sets
     name = card.parameter(card.keyword.name)
     if card.keyword.name == "NSET" and card.has("ELSET"):
@@ -115,9 +115,9 @@ def _members(sets: dict[str, Index], card: Card, line: Line, word: str) -> Index
 
 
 def _find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> T:
-    """Return what is called so in a deck, or refuse the line, with the nearest name.
+    """Return the entry of this name, or refuse the line and suggest the nearest name.
 
-    Raises InvalidProblem: there is none of that name further up.
+    Raises InvalidProblem: no such name is defined above this line.
     """
     if name in among:
         return among[name]
@@ -193,7 +193,7 @@ def read_density(model: DeckModel, card: Card) -> None:
 
 
 def _material(model: DeckModel) -> DeckMaterial:
-    """Return the material that stands last; one does, as these cards stand right behind it."""
+    """Return the last material; the order of cards ensures that there is one."""
     return list(model.materials.values())[-1]
 
 
@@ -229,7 +229,7 @@ def _refuse_twice(card: Card, what: str, labels: Index) -> None:
 
 
 Amplitudes = dict[str, tuple[Vector, Vector]]
-# Directions that these words hold, of unknowns that elements here have.
+# The directions that each of these words fixes, among the unknowns of the elements offered here.
 HELD = {
     "ENCASTRE": (0, 1, 2), "PINNED": (0, 1, 2), "XSYMM": (0,), "YSYMM": (1,), "ZSYMM": (2,),
     "XASYMM": (1, 2), "YASYMM": (0, 2), "ZASYMM": (0, 1),
@@ -319,7 +319,7 @@ def read_distributed(model: DeckModel, loading: Loading, card: Card, scale: floa
             raise card.wrong("elements, P1 or GRAV, a value", repr(line.text[:40]), line)
         if words[0] or words[1] != "GRAV":
             elements = _members(model.element_sets, card, line, words[0])
-        else:  # gravity of everything, which CalculiX does not know
+        else:  # gravity on all elements, which CalculiX does not offer
             elements = np.concatenate([NONE, *(one.labels for one in model.elements if one.type != "SPRINGA")])
         face = re.fullmatch(r"P([1-6])", words[1])
         if face is not None:
@@ -441,7 +441,7 @@ def parameter_number(card: Card, name: str) -> float:
 
 
 def read_interaction(model: DeckModel, card: Card) -> None:
-    """Begin a surface interaction; the cards that follow state what it is."""
+    """Begin a surface interaction; the cards that follow define it."""
     name = card.parameter("NAME")
     if name in model.interactions:
         raise card.refuse(f"there is an interaction {name} already, at {model.interactions[name].place}")
@@ -454,7 +454,7 @@ def read_interaction(model: DeckModel, card: Card) -> None:
 
 
 def read_behavior(model: DeckModel, card: Card) -> None:
-    """Read how pressure follows from overlap: HARD, or LINEAR with a stiffness, and what CalculiX reads beside it."""
+    """Read the law of pressure over overlap, HARD or LINEAR with a stiffness, and the further numbers of CalculiX."""
     interaction = _interaction(model, card)
     interaction.stated = True
     if card.parameter("PRESSURE-OVERCLOSURE", "HARD") == "HARD":
@@ -494,7 +494,7 @@ def _interaction(model: DeckModel, card: Card) -> Interaction:
 
 
 def read_clearance(model: DeckModel, card: Card) -> None:
-    """Read the distance that takes the place of those of the mesh."""
+    """Read the initial gap that replaces the distances of the mesh."""
     card.refuse_lines()
     pair = card.parameter("SLAVE"), card.parameter("MASTER")
     model.clearances = {**model.clearances, pair: parameter_number(card, "VALUE")}

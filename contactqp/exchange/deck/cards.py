@@ -5,9 +5,8 @@ Lines that begin with ``**`` are comments, blanks and the case of letters mean n
 ``*INCLUDE, INPUT=FILE`` stands for the lines of that file. Every card and line knows its file and number, so that each
 message can name them.
 
-Keywords and parameters are those of the CalculiX CrunchiX user's manual 2.20 and of the Abaqus keywords guide: those
-that are read, those without effect, and those that are refused, with the reason. A keyword that is in no table is an
-error, and so is a parameter: nothing is passed over in silence.
+The tables of keywords and parameters follow the CalculiX CrunchiX user's manual 2.20 and the Abaqus keywords guide.
+Each entry is read, has no effect, or is refused with a reason; a keyword or parameter that is in no table is an error.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from contactqp.exchange.files import DECIMAL_COMMA, Path, number, read_bytes, re
 from contactqp.model.arrays import Index, Vector
 
 EXPECTED = "an input deck of Abaqus or CalculiX"
-# Files that include files that include files: deeper is a circle or a mistake.
+# The deepest nesting of included files; a deeper one is taken for a cycle.
 DEEPEST = 10
 # Lines of all files together, of which each costs some hundred bytes of memory.
 MOST_LINES = 5_000_000
@@ -37,7 +36,7 @@ LARGEST_LABEL = 2**40
 # Fortran, by which both programs read, takes 2.1+5 for 2.1e5.
 _BARE_EXPONENT = re.compile(r"(?<=[\d.])(?=[+-]\d+$)")
 MOST_GENERATED = 10**7
-# CalculiX reads the first 20 characters of a number, and says nothing of the others.
+# CalculiX reads the first 20 characters of a number and silently drops the others.
 CALCULIX_COLUMNS = 20
 
 
@@ -90,7 +89,7 @@ class Card:
         return InvalidProblem(f"{(line or self.head).place}: {self.name}: expected {expected}, got {got}")
 
     def refuse(self, what: str, line: Line | None = None) -> InvalidProblem:
-        """Return the error for something that is known and not offered."""
+        """Return the error for a feature of decks that is known but not offered."""
         return InvalidProblem(f"{(line or self.head).place}: {self.name}: {what}")
 
     def parameter(self, name: str, default: str | None = None) -> str:

@@ -1,7 +1,7 @@
-"""Parts, instances and the assembly of an Abaqus deck, written out as the flat deck that they stand for.
+"""Expand the parts, instances and assembly of an Abaqus deck into the equivalent flat deck.
 
-Nodes, elements and sets of a part come in once for each *INSTANCE of it, moved and turned as that says. A set or a
-surface S of instance I is called I.S, as the assembly calls it; node and element labels of the second and further
+Nodes, elements and sets of a part are repeated for each *INSTANCE of it, translated and rotated as stated there. A set
+or a surface S of instance I is called I.S, as the assembly calls it; node and element labels of the second and further
 instances are raised by a power of ten times their place: node 12 of the second instance may be node 1012.
 """
 
@@ -37,7 +37,7 @@ _OF_INSTANCE = re.compile(r"(.+)\.(\d+)")
 
 @dataclass
 class _Instance:
-    """A part in the assembly: its cards, where it is, and what is added to its labels."""
+    """A part in the assembly: its cards, its placement, and the number that is added to its labels."""
 
     name: str
     card: Card
@@ -50,12 +50,12 @@ class _Instance:
 
 
 def flattened(cards: list[Card]) -> tuple[list[Card], list[str]]:
-    """Return the cards of a deck without parts and instances, and what became of labels, in words.
+    """Return the cards of a deck without parts and instances, and notes on how labels were renumbered.
 
     Raises
     ------
     InvalidProblem
-        Parts and instances that do not end, that are not there, or that hold what is not followed; by line.
+        Parts and instances that do not end, do not exist, or contain something that is not supported; by line.
     """
     if not any(card.keyword.name in _FRAMES for card in cards):
         for card in cards:
@@ -116,7 +116,7 @@ def _new(among: dict[str, T], card: Card, value: T) -> T:
 
 
 def _part_of(card: Card, parts: dict[str, list[Card]]) -> Sequence[Card]:
-    """Return the cards of the part that an instance names; one without a part has nodes of its own."""
+    """Return the cards of the part that an instance names, none for an instance that defines its own nodes."""
     if not card.has("PART"):
         return []
     name = card.parameter("PART")
@@ -126,7 +126,7 @@ def _part_of(card: Card, parts: dict[str, list[Card]]) -> Sequence[Card]:
 
 
 def _number(instances: dict[str, _Instance]) -> list[str]:
-    """Give instances what is added to their labels, and say so."""
+    """Set the number that is added to the labels of each instance, and return notes about it."""
     largest = max((_largest_label(one.cards) for one in instances.values()), default=1)
     step = 10 ** len(str(largest))
     notes = []
@@ -145,7 +145,7 @@ def _largest_label(cards: Iterable[Card]) -> int:
 
 
 def _of_instance(instance: _Instance) -> Iterable[Card]:
-    """Yield the cards of an instance with names and labels of their own, nodes where it puts them."""
+    """Yield the cards of an instance with unique names and labels, its nodes in their final position."""
     place = _placement(instance.card)
 
     def renamed(_card: Card, _line: Line, word: str) -> str:
@@ -162,7 +162,7 @@ def _of_instance(instance: _Instance) -> Iterable[Card]:
 
 
 def _outside(card: Card, instances: dict[str, _Instance]) -> Card:
-    """Return a card of the assembly, the model or a step: INSTANCE=I or I.12 say of which instance its labels are."""
+    """Return a card of the assembly, the model or a step, its labels resolved by INSTANCE=I or the prefix in I.12."""
     if card.keyword.name not in _NAMING:
         return card
     parameters, own = dict(card.parameters), None
@@ -194,7 +194,7 @@ def _rewritten(card: Card, parameters: dict[str, str], renamed: Callable[[Card, 
         words = line.words
         at = _NAMING[card.keyword.name]
         if card.has("GENERATE"):
-            at = slice(0, 2)  # the third is a step
+            at = slice(0, 2)  # the third number is an increment
         elif card.keyword.name == "EQUATION" and len(words) == 1:
             at = slice(0, 0)  # the number of terms
         words[at] = [renamed(card, line, word) for word in words[at]]
@@ -218,7 +218,7 @@ class _Placement:
 
 
 def _placement(card: Card) -> _Placement | None:
-    """Return where an instance is; None where its part is.
+    """Return the placement of an instance, None where it is not moved.
 
     A first line has a translation, a second one two points of an axis and an angle in degrees.
     """
@@ -252,7 +252,7 @@ def _rotation(axis: Vector, angle: float) -> Array:
 
 
 def _moved(card: Card, place: _Placement) -> Card:
-    """Return the nodes of a part where an instance has them, to 13 digits, which every program reads."""
+    """Return the card of a part's nodes in the position of an instance, with 13 digits, which every program reads."""
     lines = []
     for line in card.lines:
         words = line.words

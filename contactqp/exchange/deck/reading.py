@@ -1,10 +1,10 @@
-"""Read a deck into the model that it states, and the ledger of what became of each card.
+"""Read a deck into a `DeckModel`, with a ledger of which cards were read, assumed or without effect.
 
 What acts at the end of each step is what acted before, with what the step states in its place. As in CalculiX and
 Abaqus, a displacement, a force or a pressure stays from step to step until a later step states another one at the same
 node and direction, or face (OP=MOD); within one step forces and pressures add up. OP=NEW takes away all that earlier
-steps stated with its keyword. A load with an amplitude stays what it was at the end of its own step. What both programs
-do differently is refused.
+steps stated with its keyword. A load with an amplitude stays what it was at the end of its own step. Decks on which the
+two programs differ are refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from contactqp.exchange.files import Ledger, Path, is_number
 from contactqp.model.arrays import Index
 
 Handler = Callable[[DeckModel, Card], None]
-# What stands before others in a deck, whatever their order in it: sets and loads name nodes and elements.
+# The order in which cards are read, whatever their order in the deck: sets and loads refer to nodes and elements.
 _FIRST: dict[str, Handler] = {"NODE": card_readers.read_nodes, "ELEMENT": card_readers.read_elements}
 _MODEL: dict[str, Handler] = {
     "NSET": card_readers.read_set,
@@ -48,7 +48,7 @@ _LOADS: dict[str, Callable[[DeckModel, Loading, Card, float], None]] = {
     "DLOAD": card_readers.read_distributed,
     "DSLOAD": card_readers.read_surface_load,
 }
-# What a material or an interaction is made of stands right behind its own keyword.
+# Cards that belong to a material or an interaction must follow its keyword directly.
 _FOLLOWING = {
     "ELASTIC": "MATERIAL", "DENSITY": "MATERIAL", "EXPANSION": "MATERIAL", "CONDUCTIVITY": "MATERIAL",
     "SPECIFIC HEAT": "MATERIAL", "DAMPING": "MATERIAL", "SURFACE BEHAVIOR": "SURFACE INTERACTION",
@@ -63,9 +63,9 @@ _ON_FACES = ("*DLOAD", "*DSLOAD")
 
 
 def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
-    """Return what a deck states; the ledger says what was read, assumed and without effect.
+    """Return the model of a deck; its ledger lists what was read, assumed and without effect.
 
-    Raises InvalidProblem: anything that is not known, not offered or not as it should be, by file and line.
+    Raises InvalidProblem: a card that is unknown, not offered or malformed, with file and line.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
 
 
 def _check_order(path: Path, cards: list[Card]) -> list[float]:
-    """Check that cards stand where they may, with static steps at the end; return how long each of these takes."""
+    """Check the order of the cards, with static steps at the end, and return the time period of each step."""
     inside, static, owner = False, False, ""
     periods: list[float] = []
     for card in cards:
@@ -165,7 +165,7 @@ def _note_idle(ledger: Ledger, card: Card) -> None:
 
 
 def _note_long_numbers(model: DeckModel, card: Card) -> None:
-    """Note where numbers have more characters than CalculiX reads of them."""
+    """Note the numbers that have more characters than CalculiX reads."""
     if card.keyword.effect is Effect.IDLE or card.keyword.name == "HEADING":
         return
     for line in card.lines:
@@ -226,7 +226,9 @@ class StepLoads:
         self._step += 1
 
     def stated_by(self, card: Card) -> Loading:
-        """Return where the loads of a card go, once OP=NEW has taken away what acted before it."""
+        """Return the `Loading` that a card adds to; OP=NEW first removes the loads that earlier steps stated with its
+        keyword.
+        """
         if card.parameters.get("OP") == "NEW":
             if card.name in self._keywords:
                 where = "of its keyword in a step" if self._step > 1 else "of all, before the step included"
@@ -261,19 +263,19 @@ class StepLoads:
 
 
 def _elsewhere(before: Sequence[AtNodes], stated: Sequence[AtNodes]) -> list[AtNodes]:
-    """Return what acted before at nodes and along axes that are not stated anew."""
+    """Return the earlier loads at nodes and along axes that are not stated again."""
     anew = {axis: _labels([one.nodes for one in stated if one.axis == axis]) for axis in range(3)}
     kept = [replace(one, nodes=one.nodes[~np.isin(one.nodes, anew[one.axis])]) for one in before]
     return [one for one in kept if len(one.nodes)]
 
 
 def _on_other_faces(before: Sequence[FacePressure], stated: Sequence[FacePressure]) -> list[FacePressure]:
-    """Return the pressures of before on faces that are not stated anew.
+    """Return the earlier pressures on faces that are not stated again.
 
     Raises
     ------
     InvalidProblem
-        One of *DLOAD and one of *DSLOAD on the same face: the later takes the place of the other in CalculiX alone.
+        *DLOAD and *DSLOAD on the same face: the later replaces the earlier in CalculiX alone.
     """
     kept = []
     for one in before:
@@ -294,7 +296,7 @@ def _on_other_faces(before: Sequence[FacePressure], stated: Sequence[FacePressur
 
 
 def _other_gravity(before: Sequence[Acceleration], stated: Sequence[Acceleration]) -> list[Acceleration]:
-    """Return the gravity of before on elements that have none anew.
+    """Return the earlier gravity loads on elements for which none is stated again.
 
     Raises InvalidProblem: other elements, or another direction: CalculiX adds both, Abaqus takes the later one.
     """
