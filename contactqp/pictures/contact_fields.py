@@ -1,6 +1,6 @@
 """The fields of a solution on elastic bodies: displacement, stress; contact force, pressure, gap and status.
 
-A force is a force [force]; a pressure is a force per area [force / length^2]. They are never one array.
+Forces [force] and pressures [force / length^2] are kept in separate arrays.
 """
 
 from __future__ import annotations
@@ -29,14 +29,12 @@ from contactqp.model.solution import Solution
 from contactqp.scene.deck.contacts import Discretisation
 from contactqp.scene.deck.deck import Deck
 
-# A contact's point is a copy of its node's coordinates: beyond this distance, relative to the structure, is another.
+# A contact belongs to the node at its point; a node further away than this, relative to the structure, is another one.
 SAME_PLACE = 1e-9
 
 
 def contact_nodes(structure: Structure, pairing: Pairing, name: str) -> tuple[Index, Index, bool]:
-    """Return the bodies (p,) and the nodes within them (p,) that the pairing's forces press on along `direction`.
-
-    The third result says whether the partner is an obstacle: no row then touches a node but that of its contact.
+    """Return the body (p,) and the node within it (p,) of each contact, and whether the partner is a rigid obstacle.
 
     Nodes are found from the rows: a contact moves by -n.(w_i u_i + ...), so its own node is the one at its point with
     w_i > 0; the nodes of a master surface have w_i < 0.
@@ -223,7 +221,7 @@ def contact_fields(
 
 
 def fields_of_deck(deck: Deck, solution: Solution) -> ContactFields:
-    """Return the fields of a solution of a deck, exact or on its springs, by nodes or as a mortar.
+    """Return the fields of a solution of a deck's problem, exact or penalty, node to segment or mortar.
 
     Elements of one type and section are a body. Trusses and springs, which are lines, are left out.
 
@@ -253,7 +251,7 @@ def fields_of_deck(deck: Deck, solution: Solution) -> ContactFields:
         )
     nodes = [unknowns[:: body.dimension] // body.dimension for _, body, unknowns in parts]
     pairings = [one.pairing for one in found.pairs]
-    u = deck.expand(solution.displacement[:count])  # those of springs stand behind all others
+    u = deck.expand(solution.displacement[:count])  # the unknowns of springs come last
     whole = _Whole(tuple(body for _, body, _ in parts), nodes, u, deck.assembly.load)
     owners = [(*whole.owners(pairing.nodes), False) for pairing in pairings]
     return _fields_of(whole, pairings, found.free.kept, solution, [one.pair.name for one in found.pairs], owners)
@@ -268,7 +266,7 @@ def _same_rows(rows: Any, expected: Any, count: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Whole:
-    """Bodies that share unknowns: those at node i along axis k are in place d i + k of all.
+    """Bodies that share one vector of unknowns, in which node i along axis k is entry d i + k.
 
     Attributes
     ----------
@@ -283,7 +281,7 @@ class _Whole:
     load: Vector
 
     def owners(self, nodes: Index) -> tuple[Index, Index]:
-        """Return a body for each node, that with the most of them where it has several, and its place in it."""
+        """Return the body of each node, of several the one with most of these nodes, and the node's index within it."""
         within = [np.isin(nodes, mine) for mine in self.nodes]
         owner, place = np.full(len(nodes), -1), np.full(len(nodes), -1)
         for number in sorted(range(len(self.bodies)), key=lambda one: -np.count_nonzero(within[one])):
@@ -323,7 +321,7 @@ def _fields_of(
         mine = (body.dimension * nodes[:, None] + np.arange(body.dimension)).ravel()
         own, pushed, acting = (v[mine].reshape(body.mesh.points.shape) for v in (whole.displacement, on_nodes, load))
         bodies.append(BodyFields(body, own, stress_at_nodes(body, own.ravel()), pushed, acting))
-        load[mine] = 0.0  # of nodes of several bodies the first one has the load
+        load[mine] = 0.0  # the load on a node of several bodies is drawn at the first one
     fields, end = [], 0
     for pairing, name, size, at in zip(pairings, names, sizes, owners, strict=True):
         here = slice(end, end + size)
@@ -405,7 +403,8 @@ def _friction_on_nodes(pairing: Pairing, node: Index, friction: Array) -> Array:
 def fields_of_solid(solution: Solution) -> ContactFields | None:
     """Return the fields of a solid at a large deformation, None for other bodies and contacts of other kinds.
 
-    Contacts stand where they are now, so that the obstacle is x - gap n; stresses are not looked at and are NaN.
+    Positions are those of the deformed body, so that the obstacle is at x - gap n; stresses are not computed and are
+    NaN.
     """
     loaded = solution.problem._computed.assembly
     if not isinstance(solution, LargeSolution) or not isinstance(loaded, LoadedBody):
@@ -427,7 +426,7 @@ def fields_of_solid(solution: Solution) -> ContactFields | None:
 
 
 def _parts(contact: ContactGeometry) -> Iterator[ContactGeometry]:
-    """Yield the contact geometries of a group, in the order of their contacts, whatever supports are around them."""
+    """Yield the contact geometries inside groups and supports, in the order of their contacts."""
     if isinstance(contact, SupportedContact):
         yield from _parts(contact.geometry)
     elif isinstance(contact, ContactGroup):

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MARGIN = 0.04
 # Arrows of one pairing; more of them would overlap.
 MOST_ARROWS = 60
-# Contacts under force that spread over less than this part of the bodies get a window, which is so many times wider.
+# Loaded contacts that extend over less than this part of the bodies get a window of their own, wider by this factor.
 SMALL_ZONE, WIDER = 0.15, 3.0
 
 
@@ -169,7 +169,7 @@ def _draw_arrows(
 ) -> tuple[list[Array], list[Any]]:
     """Draw pressures, or forces of contacts without area, as arrows; return their tails and the legend entries.
 
-    Arrows are those of the whole traction or force: friction tilts them. The shaded bars are of the pressure alone.
+    The arrows include friction, the shaded bars show the pressure alone.
     """
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch

@@ -29,7 +29,7 @@ class Member:
 
     Attributes
     ----------
-    kind : "bar", "spring", "beam", "string", "matrix", or what another kind of elements is called
+    kind : "bar", "spring", "beam", "string", "matrix", or the noun of another kind of elements
     nodes : tuple of int
         The nodes that it connects, as places in FrameFields.nodes; a single one is connected to the ground.
     path, displacement : (k, d) arrays, points along the element and their displacements [length]
@@ -93,11 +93,11 @@ class FrameFields:
 
     @property
     def upright(self) -> bool:
-        """Return whether the nodes stand above each other: those of one axis that is not x."""
+        """Return whether the picture is vertical: a scene in one dimension whose axis is not x."""
         return self.axes in (("y",), ("z",))
 
     def flat(self, points: Array, row: float) -> Array:
-        """Return points on a line in the plane, in a row at that distance beside it; others as they are."""
+        """Return points in the plane; those of one dimension are put in a row at the distance `row` beside the axis."""
         if points.shape[1] > 1:
             return points
         beside = np.full(len(points), row)
@@ -111,10 +111,10 @@ LINES: dict[str, dict[str, Any]] = {
     "string": dict(color="#0072B2", linewidth=1.2),
     "matrix": dict(color="#56B4E9", linewidth=1.2, linestyle="-."),
 }
-# Line of kinds of elements that are not listed.
+# The style of lines for other kinds of elements.
 OTHER_LINE: dict[str, Any] = dict(color="#CC79A7", linewidth=1.6)
 GROUNDED = "spring to the ground"
-# Nodes that are held along all axes, and along some: across the axis lies the line that the node may move along.
+# Markers of nodes fixed along all axes, and along one, whose line shows the free direction.
 SUPPORT: dict[str, Any] = dict(color="black", linestyle="none", marker="^", markersize=9, fillstyle="none")
 HELD_ALONG: dict[str, Any] = dict(color="0.45", linestyle="none", markersize=7)
 ALONG = ("|", "_", "x")  # x, the second axis, the third
@@ -225,7 +225,7 @@ def _draw_nodes(axes: Any, fields: FrameFields, scale: float, below: float) -> l
     return handles
 
 
-# Above all that is drawn, which in space is given numbers as it is sorted by depth.
+# Drawing order above everything else; in space matplotlib numbers artists by depth.
 NAMES_IN_FRONT = 1000
 
 

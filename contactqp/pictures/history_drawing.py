@@ -40,7 +40,7 @@ ROOM = 0.022
 ONE_LINE = 1 / 2000
 # Events that one label names at most, and letters of a name.
 MOST_NAMED, MOST_LETTERS = 2, 20
-# Load cases that are named below the axis, and letters of a name up to which it stands level there.
+# The most load cases that are named below the axis, and the longest name that is written horizontally there.
 NAMED_CASES, SHORT_NAME = 16, 4
 KINDS: Mapping[str, dict[str, Any]] = {
     "closed": dict(color="black", linestyle="-"),
@@ -285,7 +285,7 @@ def _draw_curves(axes: Any, panel: Panel, abscissas: Sequence[Array]) -> None:
     low, high = _range(panel.curves)
     if high - low < FLAT * panel.size:
         middle = (low + high) / 2
-        room = 0.05 * max(panel.size, FLAT * abs(middle))  # other terms may be far below a gap that stays open
+        room = 0.05 * max(panel.size, FLAT * abs(middle))  # a gap that stays open dwarfs other terms
         axes.set_ylim(middle - room, middle + room)
     axes.set_ylabel(panel.label.replace(" [", "\n["), fontsize="small")
     axes.legend(handles=handles, **_BESIDE)

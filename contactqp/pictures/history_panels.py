@@ -143,7 +143,7 @@ def _energies(energies: tuple[Energies, ...], names: tuple[str, ...]) -> dict[st
 MOST_CONTACTS, MOST_UNKNOWNS = 5, 4
 # Unknowns whose work or movement is below this part of the largest are left out.
 NEGLIGIBLE = 1e-6
-# The number of the curve of all contacts together.
+# The number of the curve that sums all contacts.
 ALL = -1
 
 
@@ -220,7 +220,7 @@ def case_fields(many: Solutions) -> HistoryFields:
 
 
 def time_label(fields: HistoryFields, time_unit: str, stated: str) -> str:
-    """Return the label below the panels of `time_panels`; of a motion without a unit what its history has `stated`."""
+    """Return the label of the time axis; `stated` is used for a motion without a unit of time."""
     if fields.moving:
         return f"time [{time_unit}]" if time_unit else stated
     return "load factor" if fields.proportional else "pseudo-time [legs]"

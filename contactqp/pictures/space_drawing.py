@@ -28,11 +28,11 @@ _PARTS: dict[str, list[list[int]]] = {
     "quad8": [[0, 4, 1, 5, 2, 6, 3, 7]],
     "quad9": [[0, 4, 8, 7], [4, 1, 5, 8], [8, 5, 2, 6], [7, 8, 6, 3]],
 }
-# The window around the contacts under force is so many times wider than they spread.
+# The width of the window around the loaded contacts, relative to their extent.
 WIDER = 2.5
 # Contacts whose unit normals have a smaller mean have no common direction, as around a hole.
 NO_DIRECTION = 0.1
-# Points from the lower edge of a map to its legend, and letters of entries that leave room for two in a row.
+# Distance from a map to its legend [point], and the longest entries that fit two in a row [characters].
 BELOW_AXIS, SHORT_ENTRY = 36.0, 16
 
 

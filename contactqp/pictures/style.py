@@ -85,7 +85,8 @@ def energy_unit(units: Units) -> str:
 
 
 def plain(text: str, most: int = 40) -> str:
-    """Return a user's text for matplotlib, shortened: dollars start no formula, a leading underline hides no entry.
+    """Return a user's text for matplotlib, shortened and escaped: dollars and a leading underscore have no special
+    meaning.
 
     >>> plain("$a$"), plain("_tip"), plain("abcdef", most=4)
     ('\\\\$a\\\\$', ' _tip', 'abc…')
@@ -132,7 +133,7 @@ def count_label(status: str, number: int) -> str:
 
 
 def arrows_to_draw(position: Array, value: Array, most: int) -> Index:
-    """Return the contacts that get an arrow: all that push, or about `most` of them with the largest.
+    """Return the contacts that get an arrow: all under force, or about `most` of them, the largest included.
 
     `position` (p, d) and `value` (p,) are those of the contacts, which are counted along the longest side of the box
     around them.
@@ -213,8 +214,8 @@ def check_picture(file: str | Path) -> Path:
 
 def save(figure: Figure, file: Path) -> None:
     """Write the figure to a file, completely or not at all."""
-    # The layout is right from the second time on: the first one does not have the ticks yet. It may cut labels of axes
-    # whose scales are equal, which a tight box around everything does not.
+    # The layout is done twice, since the first pass does not know the ticks. It may clip the labels of axes with equal
+    # scales, so the file is saved with a tight bounding box.
     figure.draw_without_rendering()
     write_whole(file, lambda beside: figure.savefig(beside, dpi=160, bbox_inches="tight"))
 
@@ -282,7 +283,7 @@ def scale_text(scale: float) -> str:
     return "displacements true to scale" if scale == 1 else f"displacements magnified {scale:g} times"
 
 
-# Chords that a curved edge is drawn with: those of a parabola are off by 1/144 of its rise.
+# The number of chords of a curved edge; for a parabola they are off by 1/144 of its rise.
 CURVED_PIECES = 6
 # Number of elements beyond which the curve of a single one is not visible.
 MANY = 20_000
@@ -359,11 +360,11 @@ def outline_points(kind: Reference) -> Array:
 PALETTE_SIZE = 64
 # Pixels of the longer side of the smallest picture.
 THUMBNAIL, DPI_OF_THUMBNAIL = 240, 60
-THICKER = 2.0  # lines of it, which would vanish
+THICKER = 2.0  # thin lines would vanish
 
 
 def thumbnail(figure: Figure) -> bytes:
-    """Return the first axes of a figure without letters, as a PNG in the size of a stamp. The figure is changed."""
+    """Return the first axes of a figure without text as a small PNG. The figure is modified."""
     from PIL import Image
 
     first = figure.axes[0]

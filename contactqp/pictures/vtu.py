@@ -1,6 +1,6 @@
 """Solutions for ParaView: one VTU file of all bodies or members, with fields at the nodes.
 
-    displacement            3 components [length]; those that the problem has not are 0
+    displacement 3 components [length]; 0 along axes that the problem does not have
     stress                  xx, yy, zz, xy, yz, zx, tension positive [force / length^2] (elastic bodies)
     von_mises               [force / length^2] (elastic bodies)
     contact_force           3 components: what contact does to the body at the node [force]; 0 away from contact
@@ -9,10 +9,10 @@
     contact_gap             under the load, positive when open [length]
     contact_status (...)    a whole number; the name of the field says what it means
 
-The normal force, pressure and gap are NaN at nodes without a contact, and where they are not known: 0 would say that
-there is a contact, closed and without force. ParaView shows NaN in a colour of its own. A node with several contacts
-shows the one with the smallest gap and, of those, the largest force. Contacts of a mortar or of nodes with segments
-stand at the nodes of the slave surface; `contact_force` acts on both surfaces.
+The normal force, pressure and gap are NaN at nodes without a contact and where they are unknown, as 0 would mean a
+closed contact without force. ParaView shows NaN in a separate colour. A node with several contacts shows the one with
+the smallest gap and, of those, the largest force. Contacts of a mortar or of nodes with segments stand at the nodes of
+the slave surface; `contact_force` acts on both surfaces.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _CELLS = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def write_vtu(fields: ContactFields | FrameFields, file: str | Path) -> None:
-    """Write the fields for ParaView: see the head of this module for what is in the file.
+    """Write the fields to a VTU file for ParaView; the head of this module lists them.
 
     Elastic bodies have the cell field `body`, the place of the body among ContactFields.bodies. Members are lines
     between their nodes (beams too: their points in between are not written), and every node is a vertex.
