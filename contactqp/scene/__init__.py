@@ -37,7 +37,7 @@ With friction the answer depends on the path of the loads, from corner to corner
 
     [path]
     events = "exact"
-    corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }]   # factors; what is not named is zero
+    corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }] # factors of the loads, 0 by default
 
     [[expect]]
     quantity = "friction force"
@@ -61,11 +61,11 @@ A scene with a motion moves in time, under constant loads::
     [[expect]]
     quantity = "velocity"
     at = "b.x"
-    time = "0.5 ms"                         # a time has its unit; the last step that is over then
+    time = "0.5 ms" # a time with its unit: the end of the last step before it
     value = "3 m/s"
     derivation = "nothing touches it yet"
 
-With large displacements bars, obstacles and contacts are where they are, and the path may be controlled::
+With large displacements contacts and bars follow the deformed geometry, and the path may be controlled::
 
     deformation = "large"
     bars = [{ name = "bar", nodes = ["a", "b"], area = "1 cm^2", modulus = "10 MPa", law = "green" }]

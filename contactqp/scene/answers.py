@@ -1,7 +1,7 @@
-"""The quantities that claims ask of scenes of nodes, read off a solution at one instant of its path or motion.
+"""Evaluate the quantities that the claims of a case ask for, on a solution at one instant of its path or motion.
 
-`READERS` has a function for each of `contactqp.scene.claims.QUANTITIES` by its name, but for quantities of elements,
-which the elements read themselves.
+`READERS` has a function for each name in `contactqp.scene.claims.QUANTITIES`; quantities of elements are evaluated by
+the classes of the elements.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from contactqp.scene.schema import SceneData
 if TYPE_CHECKING:
     from contactqp.analysis.motion.motion_history import MotionHistory
 
-# Gaps below this part of the largest gap or displacement are the rounding of zero.
+# Gaps below this part of the largest gap or displacement are rounding errors of zero.
 ROUNDING_OF_GAPS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """A pseudo-time of the path, or without a path the factor on all loads; `step` is its place in the history.
+    """A pseudo-time of the path, or without a path the factor on all loads; `step` is its index in the history.
 
-    In a motion, whose loads are constant, `time` is 1, and `step` says when.
+    In a motion, whose loads are constant, `time` is 1 and `step` identifies the instant.
     """
 
     time: Fraction = Fraction(1)
@@ -66,7 +66,8 @@ class Instant:
         return self.history.energies[self.step]
 
     def event(self, claim: Claim, contacts: Sequence[int]) -> Event:
-        """Return the event that the claim names, among those of the contacts that are one contact of the scene.
+        """Return the event that the claim names, among those of the problem's contacts that form one contact of the
+        scene.
 
         Raises
         ------
@@ -90,7 +91,7 @@ class Instant:
         return [event for event in self.events if event.contact in contacts]
 
     def impulses(self) -> Array:
-        """Return what each normal force has given since the start of the motion, (m,) [force time]."""
+        """Return the impulse of each normal force since the start of the motion, (m,) [force * time]."""
         motion = self.motion
         force, weight = motion.normal_forces[: (self.step or 0) + 1], motion.motion.scheme.contact_weight()
         acting = weight * force[1:] + (1 - weight) * force[:-1]
@@ -98,9 +99,9 @@ class Instant:
 
     @property
     def motion(self) -> MotionHistory:
-        """Return the history of the motion, which claims of motions are asked of."""
+        """Return the history as that of a motion."""
         history = self.history
-        assert is_motion(history)  # claims of motions are asked in motions only
+        assert is_motion(history)  # the check of the scene ensures it
         return history
 
     @property
@@ -122,9 +123,10 @@ def _of_group(events: Sequence[Event], contacts: Sequence[int]) -> Iterator[Even
 
 
 def with_bounds(history: History) -> Solution:
-    """Return the last solution of a history; with friction its errors are bounded where that costs a part of the solve.
+    """Return the last solution of a history; with friction it is certified anew with error bounds, where these cost
+    less than the solve.
 
-    The steps of a motion are proven by the problems that its scheme poses for them.
+    The steps of a motion keep the certificates of the problems that the scheme solved.
     """
     last = history[-1]
     problem, given = last.problem, last.certificate
@@ -181,7 +183,7 @@ class Answer:
 
 
 class _Rates:
-    """The derivatives of an answer by what a claim names, as a solution has the quantities themselves."""
+    """The derivatives of a solution with respect to the parameter of a claim, under the names of the quantities."""
 
     def __init__(self, claim: Claim, answer: Answer) -> None:
         self._claim, self._solution = claim, answer.solution
@@ -200,7 +202,7 @@ class _Rates:
 
 
 def _whole_load(model: NodeModel) -> Array:
-    """Return what a unit of the load factor adds to the loads, (n,) [force]."""
+    """Return the derivative of the loads with respect to the load factor, (n,) [force]."""
     return np.asarray(model.load_at(Fraction(1)) - model.load_at(Fraction(0)))
 
 
@@ -295,7 +297,7 @@ def _momentum(claim: Claim, answer: Any) -> float:
     return momentum(answer.model, instant.motion, instant.velocity, str(claim.along), claim.at)
 
 
-# Quantities that are read alike off scenes of nodes and of bodies.
+# Quantities that are evaluated alike in scenes of nodes and of bodies.
 OF_BOTH: Mapping[str, Callable[[Claim, Any], Any]] = {
     "elastic energy": lambda claim, answer: answer.instant.energies(claim).elastic,
     "work of the loads": lambda claim, answer: answer.instant.energies(claim).work,
@@ -314,7 +316,7 @@ Point = TypeVar("Point", LimitPoint, Snap)
 
 def _history(answer: Answer) -> LargeHistory:
     history = answer.instant.history
-    assert isinstance(history, LargeHistory)  # claims of large deformations are asked there only
+    assert isinstance(history, LargeHistory)  # the check of the scene ensures it
     return history
 
 
@@ -397,6 +399,6 @@ READERS: dict[str, Callable[[Claim, Answer], Any]] = {
 
 
 def clean_gaps(solution: Solution) -> Array:
-    """Return the gaps (m,) without what rounding leaves of closed ones, relative to the largest gap or displacement."""
+    """Return the gaps (m,), with 0 for those that are rounding errors relative to the largest gap or displacement."""
     size = max(float(np.max(abs(values), initial=0.0)) for values in (solution.gap, solution.displacement))
     return np.where(abs(solution.gap) > ROUNDING_OF_GAPS * size, solution.gap, 0.0)

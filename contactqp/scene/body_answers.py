@@ -1,4 +1,4 @@
-"""The answer of a scene of elastic bodies: what claims ask of it, and a summary of what is too long to list."""
+"""Evaluate the quantities that claims ask for in scenes of elastic bodies, and summarise long answers."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class BodyAnswer:
     """A solution of a scene of bodies at one instant, and its load path if it has one."""
 
     scene: SceneData
-    model: BodyModel  # or what another engine builds, which answers the same questions
-    solution: Any  # a Solution, or a DistributedSolution: then every question is collective
+    model: BodyModel  # or the model of another engine with the same methods
+    solution: Any  # a Solution or a DistributedSolution, for which every method is collective
     instant: Instant
 
     def value_of(self, claim: Claim) -> float | str:
-        """Return the claim's quantity in the scene's units, or words.
+        """Return the claim's quantity in the scene's units, or text.
 
-        NaN where nothing presses and a width is asked for, and for the pressure at a node that supports hold.
+        It is NaN for a contact width where no contact has force, and for the pressure at a supported node.
         """
         return _READERS[claim.quantity](claim, self)
 
@@ -164,7 +164,7 @@ _READERS: dict[str, Callable[[Claim, BodyAnswer], float | str]] = {
 
 
 def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
-    """Yield two tables: how far and how fast each body moves, and each contact's force, peak pressure and gap."""
+    """Yield two tables: displacements and velocities of each body; force, peak pressure and gap of each contact."""
     system = model.scene.system
     length, force = system.length, system.force
     pressure = system.label(KINDS["pressure"].dimension)
@@ -187,9 +187,10 @@ def summaries(model: BodyModel, solution: Any) -> Iterator[Table]:
 
 
 def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
-    """Return each free motion body by body: ``block along x``, or ``disc turning`` where its nodes move differently.
+    """Describe each free motion by the bodies that it moves: ``block along x``, or ``disc turning`` where nodes differ.
 
-    The motions of a solution are any basis; each is given here with a body that the others do not move.
+    The free motions of a solution are an arbitrary basis, which is reduced so that each moves a body that the others do
+    not.
     """
     if not solution.free_motions:
         return []
@@ -197,7 +198,7 @@ def motions_in_words(model: BodyModel, solution: Any) -> list[str]:
 
 
 def _reduced(model: BodyModel, rows: Array) -> Array:
-    """Return the reduced echelon form: each row has a 1 where all others have 0, ordered by these places."""
+    """Return the reduced row echelon form."""
     rows = rows.copy()
     places = []
     for i in range(len(rows)):

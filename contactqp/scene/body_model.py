@@ -1,7 +1,7 @@
 """From a scene of elastic bodies to its contact problem, in floats: meshes, structure, supports, loads, pairs.
 
-An entry of the scene's contacts becomes many contacts of the problem, one for each paired node; `ContactEntries` finds
-the forces and gaps of an entry among those of the problem.
+An entry of the scene's contacts becomes many contacts of the problem, one for each paired node. `ContactEntries`
+selects the forces and gaps of an entry from those of the problem.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 class ContactAnswer(Protocol):
-    """What is asked of a solution: contact by contact of the problem, all of them."""
+    """The arrays of a solution that entries are selected from, for all contacts of the problem."""
 
     @property
     def normal_force(self) -> Vector:
@@ -89,12 +89,12 @@ class ContactEntries(ABC):
     @property
     @abstractmethod
     def kept(self) -> Index:
-        """Return which rows of all pairings are contacts of the problem: those that a free unknown moves."""
+        """Return which rows of all pairings are contacts of the problem, those with a free unknown."""
 
     @property
     @abstractmethod
     def given(self) -> Vector:
-        """Return the displacements that supports prescribe to the unknowns of the rows, 0 where they are free."""
+        """Return the prescribed displacement of every unknown in the rows, 0 for free ones."""
 
     @property
     def row_names(self) -> list[str]:
@@ -114,7 +114,7 @@ class ContactEntries(ABC):
         return [f"{contact.name}: {note}" for contact in self.contacts for note in contact.pairing.notes]
 
     def place(self, name: str) -> int:
-        """Return the place of an entry of the scene's contacts among them."""
+        """Return the index of an entry of the scene's contacts."""
         return [contact.name for contact in self.contacts].index(name)
 
     def normal_forces(self, name: str, solution: ContactAnswer) -> Vector:
@@ -124,9 +124,7 @@ class ContactEntries(ABC):
     def pressures(self, name: str, solution: ContactAnswer) -> Vector:
         """Return the pressure at each paired node of one entry, (p,) [force / length^2], positive in compression.
 
-        NaN where only supported nodes meet, whose forces are not known; see `Pairing.pressure`.
-
-        NaN where only supported nodes meet, whose forces nobody knows.
+        NaN where all nodes of the contact are supported, so that its force is unknown; see `Pairing.pressure`.
         """
         forces = self.of_entry(name, solution.normal_force, np.nan)
         return self.contacts[self.place(name)].pairing.pressure(forces)
@@ -144,18 +142,18 @@ class ContactEntries(ABC):
     def friction_vectors(self, name: str, solution: ContactAnswer) -> Vector:
         """Return lambda_T of each paired node of one entry along the axes, (p, d) [force].
 
-        It is what the node does to what it touches.
+        It acts on the obstacle or the other body.
         """
         pairing = self.contacts[self.place(name)].pairing
         frames, along = tangent_frames(pairing.direction), self.tangential(name, solution.friction_force)
         return np.asarray(np.einsum("pk,pkd->pd", along, frames))
 
     def closed(self, name: str, solution: ContactAnswer) -> Mask:
-        """Return which paired nodes of one entry press, (p,)."""
+        """Return which paired nodes of one entry have a contact force, (p,)."""
         return self._has_status(name, solution, "closed", "stick", "slip")
 
     def stuck(self, name: str, solution: ContactAnswer) -> Mask:
-        """Return which paired nodes of one entry press and stick, (p,)."""
+        """Return which paired nodes of one entry have a contact force and stick, (p,)."""
         return self._has_status(name, solution, "stick")
 
     def _has_status(self, name: str, solution: ContactAnswer, *statuses: str) -> Mask:
@@ -164,7 +162,7 @@ class ContactEntries(ABC):
     def gaps(self, name: str, solution: ContactAnswer) -> Vector:
         """Return the gap of each paired node of one entry, (p,), positive when open.
 
-        Where only supported nodes meet it is what the supports leave.
+        Where all nodes of the contact are supported it follows from the prescribed displacements.
         """
         pairing = self.contacts[self.place(name)].pairing
         gaps = self.of_entry(name, solution.gap, np.nan)
@@ -181,8 +179,8 @@ class ContactEntries(ABC):
         return np.column_stack([self.of_entry(name, values[:, k], 0.0) for k in range(width)])
 
     def of_entry(self, name: str, values: Any, otherwise: float) -> Vector:
-        """Return the values (m,) of the problem's contacts that belong to one entry, (p,); `otherwise` where there is
-        none.
+        """Return the values (p,) of one entry from those (m,) of the problem's contacts; `otherwise` at rows not in the
+        problem.
         """
         sizes = [len(contact.pairing.gap) for contact in self.contacts]
         every = np.full(sum(sizes), otherwise)
@@ -199,7 +197,7 @@ class BodyModel(ContactEntries):
     structure: Structure
     system: System
     supports: tuple[Held, ...]
-    loads: Mapping[str, Vector]  # on all unknowns at their full values, by their names
+    loads: Mapping[str, Vector]  # full values on all unknowns, by name
 
     @cached_property
     def problem(self) -> ContactProblem:
@@ -265,7 +263,7 @@ class BodyModel(ContactEntries):
         return np.array([self.velocity(motion.direction) for motion in solution.free_motions])
 
     def largest(self, rows: Array, i: int) -> tuple[Vector, int]:
-        """Return the column of some fields (q, all unknowns) where field i is largest, and its place."""
+        """Return the column of `rows` (q, all unknowns) in which row i is largest, and its index."""
         at = int(np.argmax(np.abs(rows[i])))
         return rows[:, at].copy(), at
 
@@ -275,7 +273,7 @@ class BodyModel(ContactEntries):
         return float(u @ (self.structure.stiffness @ u) / 2 - self.load_on_all(time) @ u)
 
     def support_force(self, support: int, solution: Solution, time: Fraction) -> float:
-        """Return what an entry of the scene's supports does to its body, along its axis [force]."""
+        """Return the force of an entry of the scene's supports on its body, along its axis [force]."""
         return float(self.support_forces(solution, time)[self.held_by(support)].sum())
 
     def velocity(self, free: Vector) -> Vector:
@@ -285,7 +283,7 @@ class BodyModel(ContactEntries):
         return every
 
     def support_forces(self, solution: Solution, time: Fraction) -> Vector:
-        """Return what the supports do to the bodies at each of all unknowns; 0 at free ones [force]."""
+        """Return the support forces on the bodies at all unknowns, 0 at free ones [force]."""
         pressed = self.system.load - self.load_on_all(time)
         for contact in self.contacts:
             pressed = pressed + contact.pairing.normal.T @ self.normal_forces(contact.name, solution)
@@ -295,7 +293,7 @@ class BodyModel(ContactEntries):
         return self.system.support_forces(self.displacement(solution), pressed)
 
     def held_by(self, support: int) -> Index:
-        """Return the places in u of the unknowns that an entry of the scene's supports holds."""
+        """Return the indices of the unknowns that an entry of the scene's supports fixes."""
         entry = self.supports[support]
         body = self.structure.body(entry.body)
         nodes = loads.node_numbers(body, entry.nodes)
@@ -308,7 +306,7 @@ def body_model(scene: SceneData) -> BodyModel:
     Raises
     ------
     SceneError
-        What is no good, its key first.
+        An invalid part of the scene; the message begins with its key.
     """
     bodies: list[Part] = []
     for i, body in enumerate(scene.bodies):
@@ -352,13 +350,13 @@ def sum_of(loads: Mapping[str, Vector], factors: Factors, size: int) -> Vector:
     return sum((float(factors.of(name)) * load for name, load in loads.items()), np.zeros(size))
 
 
-# From a body, a point and what a message calls the body to the number of the node there.
+# A function from a body, a point and a name for messages to the index of the node at that point.
 NodeAt = Callable[[Part, ArrayLike, str], int]
 
 
 @contextmanager
 def at_key(where: str) -> Iterator[None]:
-    """Refuse what the elements refuse, with the key that they were made from."""
+    """Turn errors of the elements into SceneError with the key of the entry."""
     try:
         yield
     except InvalidProblem as error:
@@ -373,7 +371,7 @@ def _nodes(scene: SceneData, whole: Structure, place: Support | PointLoad, node_
 
 
 def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[Held]:
-    """Yield the supports of a scene as the structure takes them."""
+    """Yield the supports of a scene in the structure's form."""
     for i, support in enumerate(scene.supports):
         with at_key(f"supports[{i}] ({support.name!r})"):
             nodes = _nodes(scene, whole, support, node_at)
@@ -382,7 +380,7 @@ def supports_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_no
 
 
 def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node) -> Iterator[tuple[str, loads.Load]]:
-    """Yield every load with its name; what bodies weigh is called gravity."""
+    """Yield every load with its name; the weight of bodies is called "gravity"."""
     for i, traction in enumerate(scene.tractions):
         with at_key(f"tractions[{i}] ({traction.name!r})"):
             whole.body(traction.body).mesh.side(traction.nodes)
@@ -406,7 +404,7 @@ def loads_of(scene: SceneData, whole: Structure, node_at: NodeAt = nearest_node)
 
 
 class Surfaces(Protocol):
-    """Sides of bodies, numbered in one u."""
+    """A structure that gives the sides of its bodies, with unknowns numbered in one vector u."""
 
     @property
     def size(self) -> int:
@@ -444,7 +442,7 @@ def paired_contact(scene: SceneData, whole: Surfaces, contact: Contact) -> Paire
 
 
 def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float | None) -> None:
-    """Refuse a side that starts deeper inside an obstacle than inside another body, unless the case says how much."""
+    """Refuse a side that initially overlaps its obstacle or partner by more than the case states."""
     allowed = OVERLAP * diameters(surface.points[surface.facets]).max() if overlap is None else overlap
     i = int(np.argmin(found.gap))
     if found.gap[i] < -allowed:
@@ -456,7 +454,7 @@ def _refuse_overlap(found: Pairing, surface: Surface, name: str, overlap: float 
 
 
 def _membrane_contact(scene: SceneData, whole: Structure, contact: Contact, name: str) -> PairedContact:
-    """Pair all free nodes of a membrane with an obstacle; where the obstacle has no height there is no contact."""
+    """Pair all free nodes of a membrane with an obstacle, except where the obstacle has no height."""
     membrane = whole.body(name)
     if not isinstance(membrane, Membrane) or contact.obstacle is None:
         raise InvalidProblem(f"expected a membrane and an obstacle, got {name!r} and {contact.obstacle!r}")

@@ -1,4 +1,4 @@
-"""From a scene to the numbers of its contact problem: first exact, then rounded once.
+"""Assemble the contact problem of a scene in exact numbers and round each of them once.
 
 Ties are also eliminated exactly, for claims about the problem on the masters::
 
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from contactqp.scene.body_model import BodyModel
     from contactqp.scene.schema import Contact, SceneData
 
-# A linear form of the unknowns by their names; what is zero is left out.
+# A linear form: the nonzero coefficients by the names of the unknowns.
 Row = Mapping[str, Number]
-# By the unknowns' names; what is zero is left out.
+# Nonzero values by the names of the unknowns.
 Stiffness = Mapping[tuple[str, str], Number]
-# Below this a dense matrix costs nothing and is easier to look at.
+# Below this number of unknowns a dense matrix costs nothing and is easier to inspect.
 DENSE_SIZE = 64
-# Loads are those of the scene where they are a sum of them but for this part.
+# A load counts as a combination of the scene's loads up to this relative difference.
 OWN_LOAD = 1e-9
 Model: TypeAlias = "NodeModel | BodyModel"
 
@@ -53,7 +53,7 @@ def build(scene: SceneData) -> Model:
     Raises
     ------
     SceneError
-        Of bodies: a mesh, a set, a load or a pair of sides that is no good; the message starts with its key.
+        An invalid mesh, set, load or pair of sides of bodies; the message begins with its key.
     BackendMissing
         A mesh file that needs meshlane, which is not installed.
     """
@@ -76,7 +76,7 @@ class ContactForm:
     gap: Number
     tangent: tuple[Row, ...]
     friction: Fraction
-    slip_origin: tuple[Number, ...]  # E_T u where slip is zero
+    slip_origin: tuple[Number, ...]  # the value of E_T u at zero slip
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,9 @@ class ExactProblem:
         return all(isinstance(number, Rational) for number in self._numbers())
 
     def load_on_all(self, load: Array) -> dict[str, float]:
-        """Return a load (n,) of the free unknowns by their names, with what acts on held ones at the same time.
+        """Extend a load (n,) of the free unknowns to the supported ones, by the names of all unknowns.
 
-        Those have it in the part that the loads of the scene have on the free ones.
+        The load is expressed by the loads of the scene, whose forces on supported unknowns are then known.
         """
         free = self.unknowns.free
         rows = [{name: float(value) for name, value in row.items()} for row in self.loads.values()]
@@ -155,7 +155,7 @@ def exact_problem(scene: SceneData) -> ExactProblem:
 
 
 def assembled(matrices: Iterable[tuple[Sequence[str], Numbers]]) -> dict[tuple[str, str], Number]:
-    """Return the sum of element matrices by the names of their unknowns; what is zero is left out."""
+    """Return the nonzero entries of the sum of element matrices, by the names of their unknowns."""
     total: defaultdict[tuple[str, str], Number] = defaultdict(Fraction)
     for names, matrix in matrices:
         for i, row in zip(names, matrix, strict=True):
@@ -173,7 +173,7 @@ def _contact_form(scene: SceneData, contact: Contact) -> ContactForm:
         direction = second - first if contact.direction is None else np.array(contact.direction)
         rows = between_nodes(first, second, direction)
     names = scene.displacements(*contact.touched)
-    along = rows.tangent[:, : len(scene.axes)]  # the first node's part: unit vectors
+    along = rows.tangent[:, : len(scene.axes)]  # unit vectors, the coefficients of the first node
     origin = [scene.value(x) for x in contact.slip_origin] if contact.slip_origin else [Fraction(0)] * len(scene.axes)
     return ContactForm(
         name=contact.name,
@@ -199,7 +199,7 @@ def _against(scene: SceneData, where: Numbers, name: str) -> ContactRows:
 
 
 def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
-    """Return the loads at their full values by their names; what masses weigh is called gravity."""
+    """Return the loads at their full values, by name; the weight of masses is called "gravity"."""
     total: defaultdict[str | None, defaultdict[str, Number]] = defaultdict(lambda: defaultdict(Fraction))
     for load in scene.loads:
         total[load.name][load.unknown] += scene.value(load.value)
@@ -214,7 +214,7 @@ def exact_loads(scene: SceneData) -> Mapping[str | None, Row]:
 
 
 def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
-    """Yield what gravity pulls with at each unknown of a node that has mass."""
+    """Yield the weight at each unknown of the nodes with mass."""
     if scene.gravity is None:
         return
     gravity = np.array([scene.value(g) for g in scene.gravity])
@@ -234,7 +234,7 @@ def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:
 
 @dataclass(frozen=True, eq=False)
 class NodeModel:
-    """A scene of nodes with its exact numbers, and the contact problem that they round to."""
+    """A scene of nodes with its exact numbers, and the contact problem of the rounded ones."""
 
     scene: SceneData
     exact: ExactProblem
@@ -263,7 +263,7 @@ class NodeModel:
         return sum_of(self.exact.loads, factors_at(self.scene, time))
 
     def load_at(self, time: Fraction) -> Array:
-        """Return the same on the free unknowns, rounded, (n,) [force]."""
+        """Return that load on the free unknowns, rounded, (n,) [force]."""
         load = self.exact_load_at(time)
         return np.array([float(load.get(name, 0)) for name in self.exact.unknowns.free])
 

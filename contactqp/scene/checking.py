@@ -93,7 +93,7 @@ def _vectors(scene: SceneData) -> Iterator[tuple[str, tuple[object, ...]]]:
 
 
 def _no_bodies(scene: SceneData) -> None:
-    """Refuse what only bodies can have in a scene without them, and a scene of nothing."""
+    """Refuse keys that need bodies in a scene without bodies, and an empty scene."""
     for key in ("supports", "tractions", "pressures", "point_loads"):
         if getattr(scene, key):
             held = '; fixed = ["C.y"] holds the node C along y' if key == "supports" else ""
@@ -252,7 +252,7 @@ def _loads_fit(scene: SceneData, unknowns: Unknowns) -> None:
 
 
 def _nothing_hangs(scene: SceneData, unknowns: Unknowns) -> None:
-    """Refuse a free node that nothing holds or touches, which is a slip of the pen."""
+    """Refuse a free node without element, contact or tie, which must be a mistake."""
     attached = {name for _, element in scene.elements for name in element.chain}
     attached |= {name for contact in scene.contacts for name in contact.touched}
     attached |= {term.unknown.rpartition(".")[0] for tie in scene.ties for term in tie.terms}
@@ -311,7 +311,7 @@ def _obstacles_are_surfaces(scene: SceneData) -> None:
             )
 
 
-# What only scenes of nodes have beside their elements, and what takes its place.
+# Keys that only scenes of nodes have, and their replacements in scenes of bodies.
 _OF_NODES = {
     "ties": "ties between bodies are not offered yet",
     "fixed": "'supports' hold bodies",
@@ -407,7 +407,7 @@ def _bodies_exist(scene: SceneData) -> None:
 
 
 def obstacles_exist_in(scene: SceneData) -> None:
-    """Refuse obstacles that the scene has not enough dimensions for, or too many."""
+    """Refuse obstacles that do not exist in the dimension of the scene."""
     d = len(scene.axes)
     for i, obstacle in enumerate(scene.obstacles):
         if d not in _DIMENSIONS[obstacle.kind]:

@@ -1,4 +1,4 @@
-"""Check that the path or the motion of a scene, and what a case says of its answer, fit the scene.
+"""Check that the path or motion of a scene and the claims about its answer fit the scene.
 
 Names, quantities, instants and methods must exist.
 """
@@ -143,11 +143,11 @@ def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> N
 
 @dataclass(frozen=True)
 class _Claimable:
-    """What the claims of a scene can be about, looked up once for all of them."""
+    """The names that the claims of a scene can refer to, collected once."""
 
     scene: SceneData
     kind: str  # "bodies" or "nodes"
-    places: Mapping[str, tuple[str, ...]]  # what ``at`` and ``along`` can name
+    places: Mapping[str, tuple[str, ...]]  # the names that ``at`` and ``along`` accept
     large: bool
     control: str
     corners: bool
@@ -187,7 +187,7 @@ def _method_exists(key: str, name: str, known: Mapping[str, Method]) -> Method:
 
 
 def _method_fits(where: str, name: str, knobs: Mapping[str, object], known: Mapping[str, Method]) -> None:
-    """Refuse a method that does not exist, and knobs that it has not or of values that it cannot have."""
+    """Refuse an unknown method, and options that it does not have or whose values are out of range."""
     method = _method_exists(f"{where}.method", name, known)
     own = [*method.options, *(["tolerance"] if method.knob == "tolerance" else [])]
     for knob, stated in knobs.items():
@@ -201,7 +201,7 @@ def _method_fits(where: str, name: str, knobs: Mapping[str, object], known: Mapp
 
 
 def _places(scene: SceneData, unknowns: Unknowns) -> dict[str, tuple[str, ...]]:
-    """Return what ``at`` can name, for each thing a quantity can be asked of."""
+    """Return the names that ``at`` accepts, for each kind of thing that has quantities."""
 
     def named(*keys: str) -> tuple[str, ...]:
         return tuple(item.name for key in keys for item in getattr(scene, key))
@@ -245,7 +245,7 @@ def _claim_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
 
 
 def _derivative_fits(where: str, claim: Claim, claimable: _Claimable) -> None:
-    """Raise SceneError if the claim is a derivative that the scene does not have."""
+    """Raise SceneError if the claim asks for a derivative that the scene does not have."""
     by, needed = claim.with_respect_to, PARAMETERS.get(str(claim.with_respect_to), ((), None))[1]
     if claimable.corners and (by == "load factor" or claim.quantity == "next event load factor"):
         raise SceneError(f"{where}: expected no load factor, since the load path has corners")
@@ -334,7 +334,7 @@ def _motion_fits(where: str, claim: Claim, measure: Measure, scene: SceneData) -
 
 
 def _time_fits(where: str, claim: Claim, measure: Measure, claimable: _Claimable) -> None:
-    """Raise SceneError if the claim is asked of an instant that the scene has not."""
+    """Raise SceneError if the claim asks for an instant that the scene does not have."""
     scene = claimable.scene
     if isinstance(claim.time, Fraction):
         if scene.path is None:

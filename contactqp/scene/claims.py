@@ -1,6 +1,7 @@
-"""What a case claims of its answer, and the vocabulary of quantities that it can claim.
+"""Define the claims of a case about its answer, and the quantities that they can name.
 
-An expectation has an exact value, a published number our verdict on it; a study names the knobs that a report sweeps.
+An expectation states an exact value, a published number comes with our verdict on it, and a study names the parameters
+that a report sweeps.
 """
 
 from __future__ import annotations
@@ -211,7 +212,7 @@ QUANTITIES = {
 
 
 KNOBS = ("penalty", "perturbation")
-# What a derivative can be by: the kinds of its numbers, and the thing that `of` names.
+# The parameters of derivatives: the kinds of their numbers, and what `of` refers to.
 PARAMETERS: dict[str, tuple[tuple[str, ...], str | None]] = {
     "load factor": (("number",), None),
     "load": (("force", "moment"), "unknown"),
@@ -227,7 +228,7 @@ def _known_quantity(value: str) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return a number as it was written: its digits say how exact it is."""
+    """Return a number as text in the digits of the file, which state its precision."""
     if isinstance(value, bool | list | tuple | dict):
         raise ValueError(f'expected a number with its unit such as "41/31500 m", got {value}')
     return str(value)
@@ -261,21 +262,21 @@ QuantityName = Annotated[str, AfterValidator(_known_quantity)]
 
 
 class Claim(Block):
-    """A quantity of the answer, and the method and load it is asked of.
+    """A quantity of the answer, and the method and load for which it is claimed.
 
-    Without `method` it is the exact answer, which every method that promises exactness must give. It is asked at the
-    full load, the end of a path. `load_factor` scales all loads instead, and `time` is a pseudo-time of the path; where
-    no step of the path stands there, a scene without friction is solved under that load. With friction the answer
-    depends on the way to it, and only the steps of the path have one. In a motion `time` is a time: meant is the end of
-    the last step that is over then.
+    Without `method` it is claimed of the exact answer, which every exact method must give. By default it holds at the
+    full load, the end of a path. `load_factor` scales all loads instead; `time` is a pseudo-time of the path. Between
+    the steps of the path a scene without friction is solved under the load of that time; with friction the answer
+    depends on the path, and only its steps have one. In a motion `time` is a time and refers to the end of the last
+    step before it.
 
-    `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` which of those of one
-    kind, counted from 1, or from the end, the last being -1. Limit points and snaps at large deformations are counted
-    alike. Where an unknown is controlled there, `reached` is its displacement at the step that is meant.
+    `event` is a change of a contact, "closed", "opened", "stick" or "slip", and `occurrence` counts those of one kind
+    from 1, or from the end with -1 for the last. Limit points and snaps at large deformations are counted alike. Under
+    displacement control `reached` selects the step by the controlled displacement.
 
-    `with_respect_to` asks for the derivative of the quantity, whose unit is that of the quantity over that of the
-    parameter: the load factor, or the load on an unknown, the gap or the coefficient of friction of a contact, which
-    `of` names. Contacts keep their states; where the two sides differ there is none, and the message says why.
+    `with_respect_to` asks for the derivative of the quantity, in its unit over that of the parameter: the load factor,
+    the load on the unknown `of`, or the gap or coefficient of friction of the contact `of`. Where the one-sided
+    derivatives differ there is no value, and the message says why.
     """
 
     quantity: QuantityName
@@ -283,27 +284,27 @@ class Claim(Block):
     along: Name | None = None  # the unknown or axis in whose direction it is
     near: fields.Point | None = None  # the point of a body where it is
     component: Literal["xx", "yy", "zz", "xy", "yz", "zx", "von-mises"] | None = None
-    unknowns: tuple[Name, ...] | None = None  # the order of a matrix's columns
+    unknowns: tuple[Name, ...] | None = None  # the order of the columns of a matrix
     load_factor: Number = Fraction(1)  # of a load path
     time: Annotated[Fraction | Quantity, PlainValidator(_instant)] | None = None
     reached: fields.Length | None = None
-    with_respect_to: Literal["load factor", "load", "gap", "friction"] | None = None  # a derivative: by what
-    of: Name | None = None  # the unknown that is loaded, or the contact, of the parameter
-    event: Literal["closed", "opened", "stick", "slip"] | None = None  # of the contact, when it happens
+    with_respect_to: Literal["load factor", "load", "gap", "friction"] | None = None  # the parameter of a derivative
+    of: Name | None = None  # the unknown or contact of the parameter
+    event: Literal["closed", "opened", "stick", "slip"] | None = None  # of the contact, at which the claim holds
     occurrence: Annotated[int, Field(strict=True), AfterValidator(_not_zero)] = 1
-    method: Name | None = None  # the only one that is meant; without it all that promise exact answers
+    method: Name | None = None  # without it, all methods that promise exact answers
     penalty: KnobStiffness | None = None  # of that method
     perturbation: KnobStiffness | None = None  # likewise
     update: Literal["simultaneous", "uzawa"] | None = None  # likewise
 
     @cached_property
     def measure(self) -> Measure:
-        """Return the row of the vocabulary that the quantity is."""
+        """Return the entry of the quantity in `QUANTITIES`."""
         return QUANTITIES[self.quantity]
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        """Return the kinds of numbers that its value can be."""
+        """Return the kinds of numbers that the value may have."""
         own, by = [KINDS[name] for name in self.measure.kinds], self.with_respect_to
         return own if by is None else [per(kind, KINDS[name]) for kind in own for name in PARAMETERS[by][0]]
 
@@ -346,7 +347,7 @@ class Claim(Block):
         return self
 
     def _derivative_fits(self) -> None:
-        """Raise ValueError where a derivative is not one of this quantity, or does not say by what."""
+        """Raise ValueError for a quantity without derivatives, or a derivative without its parameter."""
         by = self.with_respect_to
         if by is not None and not self.measure.rates:
             own = ", ".join(repr(name) for name, measure in QUANTITIES.items() if measure.rates)
@@ -377,14 +378,14 @@ class Claim(Block):
 
 
 class Expectation(Claim):
-    """The exact value, how close the answer must come, and where the value is from."""
+    """The exact value of a quantity, the tolerance of the answer, and the derivation of the value."""
 
-    value: Text | None = None  # the exact one, with its unit
+    value: Text | None = None  # the exact value with its unit
     rows: Annotated[tuple[Annotated[tuple[Text, ...], SOME], ...], SOME] | None = None
     unit: Text = ""  # of the numbers in `rows`
-    # Relative to |value|, or absolute with a unit. Twelve digits: a few rounding errors of a small system.
+    # Relative to |value|, or absolute with a unit; by default a few rounding errors.
     tolerance: Annotated[Quantity, PlainValidator(_tolerance), Field(validate_default=True)] = "1e-12"  # type: ignore[assignment]
-    derivation: Text  # where the value is from
+    derivation: Text  # how the value was derived
 
     @model_validator(mode="after")
     def _readable(self) -> Self:
@@ -414,10 +415,9 @@ class Expectation(Claim):
 
 
 class Published(Claim):
-    """What the source prints, and whether that is right.
+    """A number that the source prints, and whether it is right.
 
-    The number is held against our exact answer, or against that of the `method` it states, to half a unit of its last
-    digit.
+    The number is compared with the exact answer, or with that of the stated `method`, to half a unit of its last digit.
     """
 
     printed: Text
@@ -466,7 +466,7 @@ class Remark(Block):
 
 
 class Study(Block):
-    """A method and the values of its knob that a report sweeps."""
+    """A method and the values of its parameter that a report sweeps."""
 
     method: Name
     penalty: tuple[KnobStiffness, ...] = ()
@@ -483,17 +483,17 @@ class Study(Block):
 
     @property
     def knob(self) -> tuple[str, tuple[Quantity | Fraction, ...]]:
-        """Return its name and values."""
+        """Return the name and the values of the parameter."""
         return next((name, getattr(self, name)) for name in (*KNOBS, "tolerance") if getattr(self, name))
 
     @property
     def options(self) -> dict[str, str]:
-        """Return the options of the method besides its knob."""
+        """Return the options of the method besides that parameter."""
         return {} if self.update is None else {"update": self.update}
 
 
 class Report(Block):
-    """The methods that a report tries on the case, where all of them would take too long, and why those."""
+    """The methods that a report tries on the case, where all would take too long, and the reason for the choice."""
 
     methods: Annotated[tuple[Name, ...], SOME]
     why: Text

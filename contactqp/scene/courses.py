@@ -1,4 +1,4 @@
-"""Forces and pressures along what they change over: a side, a load path, a motion; drawn in a line or as a table."""
+"""Print pressures along a side, and forces over a load path or a motion, as lines of characters or a table."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from contactqp.scene.schema import SceneData, has_corners
 from contactqp.scene.tables import Drawn, Letters, course, print_table, written
 from contactqp.scene.units import KINDS
 
-# Contacts beyond which their sum is drawn.
+# The number of contacts beyond which only their sum is drawn.
 MOST_CONTACTS = 6
-# Nodes beside those that press which are drawn with them.
+# The number of nodes drawn on either side of those with force.
 BESIDE = 2
-# Instants that a course has at least.
+# The least number of instants of a course.
 EVEN = 48
-# Nodes that are apart by less than this part of their side lie above each other.
+# Nodes closer than this part of the length of their side count as one place.
 SAME_PLACE = 1e-9
 
 
 def time_label(scene: SceneData) -> str:
-    """Return what the time of an event is called."""
+    """Return the label of times of events."""
     if scene.motion is not None:
         return "time [s]"
     return "time" if has_corners(scene) else "load factor"
@@ -37,23 +37,23 @@ def time_label(scene: SceneData) -> str:
 
 @dataclass(frozen=True)
 class Course:
-    """Values in their order, drawn in one line."""
+    """A sequence of values that is drawn in one line of characters."""
 
     contact: str
     what: str
     unit: str
-    over: str  # along or over what, and from where to where
+    over: str  # the coordinate or time of the values and its range
     values: Array
 
     @property
     def cells(self) -> list[str]:
-        """Return the cells of its row: contact, what is drawn and its largest value, over what."""
+        """Return the cells of the row: contact, quantity with its largest value, and range."""
         largest = f"at most {np.max(self.values):.4g} {self.unit}".rstrip()
         return [self.contact, f"{self.what}, {largest}", self.over]
 
 
 def print_courses(console: Console, judgement: Judgement) -> None:
-    """Print one table of courses, where there is a course of anything."""
+    """Print a table of all courses, nothing where there are none."""
     courses = [*_pressures(judgement), *_histories(judgement)]
 
     def draw(width: int, letters: Letters) -> list[str]:
@@ -63,7 +63,7 @@ def print_courses(console: Console, judgement: Judgement) -> None:
 
 
 def _pressures(judgement: Judgement) -> Iterator[Course]:
-    """Yield the pressures of elastic bodies along the axis along which a side is longest, across it the largest."""
+    """Yield the pressures on each side along its longest axis; of nodes at one place the largest."""
     model, solution = judgement.model, judgement.solution
     if isinstance(model, NodeModel):
         return
@@ -82,7 +82,7 @@ def _pressures(judgement: Judgement) -> Iterator[Course]:
 
 
 def _across(place: Array, values: Array) -> tuple[Array, Array]:
-    """Return the places in their order, each once, and the largest value at each."""
+    """Return the places in ascending order without repetition, and the largest value at each."""
     order = np.argsort(place, kind="stable")
     first = np.concatenate([[True], np.diff(place[order]) > SAME_PLACE * np.ptp(place)])
     starts = np.flatnonzero(first)
@@ -90,7 +90,9 @@ def _across(place: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _histories(judgement: Judgement) -> Iterator[Course]:
-    """Yield each contact's normal force over a path or a motion, of many their sum, and a load factor that turns."""
+    """Yield the normal force of each contact, or the sum of many, over a path or motion, and a load factor that
+    reverses.
+    """
     history, scene = judgement.history, judgement.scene
     if len(history) < 2:
         return
@@ -106,7 +108,7 @@ def _histories(judgement: Judgement) -> Iterator[Course]:
 
 
 def _even(times: Array, values: Array) -> Array:
-    """Return the values at even times, where the history has only the uneven times of a path's events."""
+    """Return the values at equidistant times, interpolated between the events of a path."""
     if len(times) >= EVEN or not np.all(np.diff(times) > 0):
         return values
     return np.interp(np.linspace(times[0], times[-1], EVEN), times, values)
@@ -131,7 +133,7 @@ def _range(name: str, values: ArrayLike, unit: str) -> str:
 
 
 def print_instants(console: Console, judgement: Judgement, most: int) -> None:
-    """Print the normal force of each contact over a path or a motion, of many instants some."""
+    """Print the normal force of each contact over a path or a motion, at `most` instants at most."""
     history, scene = judgement.history, judgement.scene
     if len(history) < 2:
         return

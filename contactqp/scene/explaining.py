@@ -1,4 +1,4 @@
-"""A scene in words: its unknowns and constraints, the blocks that its problem has and those it has not, and why."""
+"""Describe a scene in words: unknowns, constraints, and which blocks its problem includes or leaves out, and why."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Explanation:
 
 
 def explain(scene: SceneData) -> Explanation:
-    """Read off the scene itself; nothing is solved.
+    """Describe a scene without solving it.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _condensation(exact: ExactProblem) -> BuildingBlock:
 
 
 def _form(row: Row) -> str:
-    """Write a row as in ``u(1.x) - u(2.x)``."""
+    """Return a row as text, such as ``u(1.x) - u(2.x)``."""
     text = ""
     for name, factor in row.items():
         sign = "-" if factor < 0 else "+"
@@ -142,7 +142,7 @@ def _form(row: Row) -> str:
 
 
 def _written(number: Number) -> str:
-    """Write a fraction as it is unless it is a short decimal."""
+    """Return a number as a short decimal if it is one, else as a fraction."""
     if isinstance(number, Fraction) and Fraction(f"{float(number):.6g}") != number:
         return str(number)
     return f"{float(number):.6g}"
@@ -155,7 +155,7 @@ def shortened(names: Sequence[str]) -> str:
 
 
 def explain_bodies(model: BodyModel) -> Explanation:
-    """Read off the meshes and the pairs; nothing is solved."""
+    """Describe a scene of elastic bodies without solving it."""
     scene, names, system = model.scene, model.structure.unknown_names(), model.system
     supported = np.flatnonzero(~np.isnan(system.prescribed))
     return Explanation(
@@ -215,7 +215,7 @@ def _body_blocks(model: BodyModel) -> Iterator[BuildingBlock]:
 
 
 def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
-    """Return a block that is included where there is one of them or more.
+    """Return a block that is included if `count` is positive.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
 
 
 def path_block(scene: SceneData) -> BuildingBlock:
-    """Say whether loads grow, and how changes of contact are found."""
+    """Describe whether loads grow, and how changes of contact are found."""
     if scene.path is None:
         constant = "the loads are applied at once" if scene.motion is None else "the loads of a motion are constant"
         return BuildingBlock("load path", False, constant)
@@ -260,7 +260,7 @@ def _large_path(path: LoadPath) -> str:
 
 
 def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
-    """Say whether tangents change, and with what; `kinds` are the elements of the scene."""
+    """Describe whether the tangent stiffness changes, and why; `kinds` names the elements of the scene."""
     if not scene.large:
         return BuildingBlock("Newton loop", False, f"linear: small displacements and constant stiffness ({kinds})")
     laws = ", ".join(dict.fromkeys(bar.law or "green" for bar in scene.bars))
@@ -273,7 +273,7 @@ def newton_block(scene: SceneData, kinds: str) -> BuildingBlock:
 
 
 def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
-    """Yield the mass matrix and the steps in time; `masses` is what has mass, for statics what only weighs."""
+    """Yield the blocks of mass matrix and time steps; `masses` names the parts with mass, in statics with weight."""
     motion = scene.motion
     if motion is None:
         yield BuildingBlock("mass matrix", False, f"statics: {masses}")
@@ -285,7 +285,7 @@ def motion_blocks(scene: SceneData, masses: str) -> Iterator[BuildingBlock]:
 
 
 def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock:
-    """Say which contacts have friction; where one has, all get tangential rows."""
+    """Describe which contacts have friction; where one has, all get tangential rows."""
     name, frictional = "tangential rows E_T, friction", sum(map(bool, coefficients))
     if not frictional:
         return BuildingBlock(name, False, "no contact has friction")
@@ -296,7 +296,7 @@ def friction_block(coefficients: Sequence[Fraction], axes: int) -> BuildingBlock
 
 
 def report_blocks(scene: SceneData) -> Iterator[BuildingBlock]:
-    """Say which methods a report tries on the case, where not all of them."""
+    """Yield a block for the methods of a report on the case, where they are limited."""
     if report_note(scene):
         yield BuildingBlock("all methods in a report", False, report_note(scene))
 
@@ -316,13 +316,13 @@ def report_methods(scene: SceneData) -> tuple[tuple[str, ...], str] | None:
 
 
 def report_note(scene: SceneData) -> str:
-    """Return the same in words; empty where all are tried."""
+    """Return a sentence on the methods that a report is limited to, empty where it tries all."""
     limit = report_methods(scene)
     return f"only {', '.join(limit[0])}: {limit[1]}" if limit else ""
 
 
 def explain_problem(problem: ContactProblem | LocalProblem, title: str) -> Explanation:
-    """Read off a problem of matrices, as of a quadratic program: what it has, and which systems would be solved."""
+    """Describe a problem of matrices, such as a quadratic program, and the systems that `solve` would take."""
     if isinstance(problem, LocalProblem):
         local = BuildingBlock("condensation", False, "the problem is in local form: contacts alone, no stiffness")
         friction = friction_block([Fraction(float(mu)) for mu in problem.friction], problem.dimension)

@@ -1,6 +1,6 @@
-"""The types that the keys of a case file can have, and the one line that refuses a wrong one.
+"""Define the types of keys in case files, and the one-line messages about wrong ones.
 
-A message has the key's path, what was expected, what came, and the nearest name that there is.
+A message states the path of the key, what was expected, what came, and the nearest existing name.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Block(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, defer_build=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with some keys changed, without what was computed of the old ones."""
+        """Return a copy with some keys changed, without cached properties of the original."""
         copied = super().model_copy(update=update, deep=deep)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             del copied.__dict__[name]
@@ -59,12 +59,12 @@ def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: S
             raise ValueError(f"{key}: a {kind} has no such key; its own: {own}")
 
 
-# What a schema can say of a number in a text: it begins like one, as 12, -1.5e3, 5/7 or sqrt(2).
+# A pattern for a JSON schema: the text begins like a number, as 12, -1.5e3, 5/7 or sqrt(2).
 _BEGINS_AS_NUMBER = r"^\s*[-+]?(\d|\.\d|sqrt)"
 
 
 def _quantity(*kinds: str, roots: bool = False) -> tuple[PlainValidator, WithJsonSchema]:
-    """Return the reader of a quantity of one of these kinds, and what a schema says of it."""
+    """Return a validator of quantities of these kinds, and their entry in the JSON schema."""
     allowed = [KINDS[kind] for kind in kinds]
     schema: dict[str, Any] = {
         "type": ["string", "number"] if "number" in kinds else "string",
@@ -76,9 +76,9 @@ def _quantity(*kinds: str, roots: bool = False) -> tuple[PlainValidator, WithJso
 
 
 def add_patterns_of_units(schema: Any) -> None:
-    """Add the units of quantities to a JSON schema of case files, whose patterns otherwise check how a number begins.
+    """Add the units of quantities to a JSON schema, whose patterns otherwise only check how a number begins.
 
-    Made where a schema is asked for: the list of units takes longer to read than a small case to solve.
+    This is done only when the schema is printed, as the list of units takes longer to build than a small case to solve.
     """
     if isinstance(schema, list):
         for part in schema:
@@ -99,7 +99,7 @@ def _number(value: Any) -> Fraction:
 
 
 def _must(holds: Callable[[Any], bool], expected: str) -> AfterValidator:
-    """Return a check of a number or quantity that says what it expected."""
+    """Return a validator of a number or quantity whose message states what was expected."""
 
     def check(value: Any) -> Any:
         if not holds(value.si if isinstance(value, Quantity) else value):
@@ -123,7 +123,7 @@ def _name(value: Any) -> str:
 
 
 def _plain_name(owner: str, part: str) -> Callable[[Any], str]:
-    """Return a reader of names without a full stop, which stands between the name and what belongs to it."""
+    """Return a validator of names, which must not contain the full stop that separates a name from its part."""
 
     def read(value: Any) -> str:
         if "." in _name(value):
@@ -164,7 +164,7 @@ Acceleration = Annotated[Quantity, *_quantity("acceleration")]
 Force = Annotated[Quantity, *_quantity("force", "moment")]
 Factor = Annotated[Quantity, *_quantity("number", "length")]
 TieValue = Annotated[Quantity, *_quantity("length", "angle")]
-# Times in which a wave crosses an element are roots.
+# Roots are allowed, as the time in which a wave crosses an element is one.
 Time = Annotated[Quantity, *_quantity("time", roots=True)]
 PositiveTime = Annotated[Time, _POSITIVE]
 Velocity = Annotated[Quantity, *_quantity("velocity")]
@@ -181,12 +181,12 @@ Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
 Location = tuple[int | str, ...]
 
-# Letters of a name, and of a list of names, that a message repeats.
+# The most characters of a name, and of a list of names, in a message.
 LONGEST_NAME, LONGEST_LIST = 80, 400
 
 
 def no_such(name: object, allowed: Iterable[str], what: str) -> str:
-    """Say that there is none of a name, with the nearest name, or as many as a line holds where none is near.
+    """Return a message that a name does not exist, with the nearest name, or the first names where none is near.
 
     ``there is no node 'B1'; nearest: 'B'``.
     """
@@ -249,12 +249,12 @@ def _name_of(location: Location, data: Any) -> str | None:
 
 
 def first_errors(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any]) -> str:
-    """Return the first thing that is wrong in one line, then the next one, and how many there are."""
-    # An unknown key explains the key that is then missing, which is left out.
+    """Return one line with the first two errors and the number of all."""
+    # An unknown key explains a missing one, which is then not reported.
     errors = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     unknown = {tuple(e["loc"][:-1]) for e in errors if e["type"] == "extra_forbidden"}
     errors = [e for e in errors if not (e["type"] == "missing" and tuple(e["loc"][:-1]) in unknown)]
-    # A list is too short where one of its entries is wrong, which is told.
+    # A list with a wrong entry is also reported as too short, which is left out.
     within = {tuple(e["loc"][:depth]) for e in errors for depth in range(1, len(e["loc"]))}
     errors = [e for e in errors if tuple(e["loc"]) not in within]
     told = [f"{key_path(e['loc'], data)}: {_sentence(e, model)}".removeprefix(": ") for e in errors[:2]]
@@ -297,7 +297,7 @@ def table_keys(model: type[BaseModel], location: Sequence[int | str]) -> list[st
 
 
 def _needed(model: type[BaseModel], location: Sequence[int | str]) -> str:
-    """Return which keys the table at a location must have; empty where none."""
+    """Return the required keys of the table at a location as text, empty where there are none."""
     fields = _table(model, location).model_fields
     needed = [repr(key) for key, field in fields.items() if field.is_required()]
     return f" with {' and '.join(needed)}" if 0 < len(needed) < 4 else ""

@@ -1,7 +1,7 @@
 """The geometry of a scene in floats: the meshes of its bodies and its rigid obstacles.
 
-Meshes come from built-in shapes and files, with their nodes by their places; contacts that start deep inside of what
-they touch are warned of.
+Meshes come from built-in shapes and files, and their nodes are found by position. Contacts that start deep inside an
+obstacle cause a warning.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:  # meshes are imported where a scene has bodies
     from contactqp.scene.schema import Contact, SceneData
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
 
-# How far a point may be from the node that it stands for, in diagonals of the node's smallest element: coordinates in
-# a case file are rounded, and a node of a mesh is no neighbour's.
+# The largest distance between a stated point and its node, in diagonals of the node's smallest element; it allows for
+# rounded coordinates and excludes the neighbouring nodes.
 NEAR = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """The node of a mesh nearest to a point: its number, where it is, and the smallest element that has it [length]."""
+    """The node of a mesh nearest to a point: its index, its position, and the size of its smallest element [length]."""
 
     apart: float
     node: int
@@ -48,8 +48,8 @@ class Nearest:
 def body_mesh(scene: SceneData, body: Body | Membrane) -> Mesh:
     """Return the mesh of a body in the scene's unit of length.
 
-    Raises InvalidProblem: the file or its mesh is no good, or the shape's numbers are none; BackendMissing: a file that
-    needs meshlane, which is not installed.
+    Raises InvalidProblem: the file, its mesh or the numbers of the shape are invalid; BackendMissing: the file needs
+    meshlane, which is not installed.
     """
     if body.shape is not None:
         return lattice_of_shape(scene, body.shape).mesh()
@@ -69,7 +69,7 @@ def mesh_of_file(scene: SceneData, source: MeshFile) -> Mesh:
 
 
 def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
-    """Return the mesh of a shape before it is made, in the scene's unit of length."""
+    """Return the lattice from which the mesh of a shape is made, in the scene's unit of length."""
     from contactqp.elements import shapes
 
     options: dict[str, Any] = {} if shape.grading is None else {"grading": float(shape.grading)}
@@ -100,7 +100,7 @@ def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
     Raises
     ------
     InvalidProblem
-        There is none so near: a neighbour would be held, loaded or asked instead. The nearest is named.
+        No node is that near; the message names the nearest one.
     """
     return near_enough(nearest_to(body, point), what)
 
@@ -118,7 +118,7 @@ def nearest_to(body: Part, point: ArrayLike) -> Nearest:
 
 
 def near_enough(nearest: Nearest, what: str) -> int:
-    """Return the nearest node's number if it is within NEAR of its smallest element, as `nearest_node` does."""
+    """Return the index of the nearest node if it is within the tolerance NEAR, else raise as `nearest_node`."""
     reach = NEAR * nearest.smallest
     if nearest.apart > reach:
         at = ", ".join(f"{x:.9g}" for x in nearest.at)
@@ -153,7 +153,7 @@ def height_of(item: Obstacle, name: str, points: Array) -> Array:
     Raises
     ------
     InvalidProblem
-        An obstacle that does not lie below a surface z(x, y): of another kind, a hole, or turned to another side.
+        The obstacle is not the region below a surface z(x, y), but another kind, a hole, or turned to another side.
     """
     if isinstance(item, Plane) and float(item.outward()[2]) > 0:
         n = np.asarray(item.outward(), dtype=float)
@@ -175,12 +175,12 @@ def _squares(points: Array, centre: Any) -> Array:
     return squares
 
 
-# Depths that differ by less than this part of the larger one are the same.
+# Depths count as equal if they differ by less than this part of the larger one.
 SAME = 1e-6
 
 
 def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
-    """Warn of a doubt about one of the scene's contacts, if there is one."""
+    """Warn about one of the scene's contacts if `doubt` is not empty."""
     if doubt:
         file = f"{scene.file}: " if scene.file else ""
         name = scene.contacts[place].name
@@ -194,7 +194,7 @@ def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
 
 
 def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
-    """Return what is doubtful of the contacts of nodes, by their places."""
+    """Return the doubts about contacts of nodes, by the index of the contact."""
     if not len(gaps) or np.min(gaps) > 0:
         return {}
     from contactqp.elements.pairing import CURE, doubt_of_depth
@@ -220,10 +220,10 @@ def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
 
 
 def warn_of_unpushed(scene: SceneData, gaps: Array, history: Sequence[Solution]) -> None:
-    """Warn of contacts of nodes, with these initial gaps, that never push and end outside of what they start inside of.
+    """Warn of contacts of nodes that start inside an obstacle, never have a force and end outside.
 
-    A beam along an obstacle lies as deep inside of it as the node that touches: only the answer tells that the obstacle
-    is turned the wrong way. Of motions nothing is said.
+    Such an obstacle is turned the wrong way, which the initial positions do not show for a beam along it. Motions are
+    not checked.
     """
     if scene.motion is not None or scene.large or scene.bodies or scene.membranes or not np.min(gaps, initial=0.0) < 0:
         return
@@ -260,6 +260,6 @@ def _deeper(
         return False
     try:
         distances = obstacle(scene, str(contact.obstacle)).distance(np.array(others))
-    except InvalidProblem:  # it has no distance there
+    except InvalidProblem:  # the obstacle has no distance there
         return False
     return bool(np.all(-np.asarray(distances, dtype=float) > depth * (1 + SAME)))

@@ -1,4 +1,4 @@
-"""A case judged: the methods that it is solved by, and its claims compared with each answer, number by number."""
+"""Judge a case: solve it by the methods that its claims concern, and compare each claimed number with the answer."""
 
 from __future__ import annotations
 
@@ -45,30 +45,30 @@ if TYPE_CHECKING:
     from contactqp.scene.building import Model
 
 Knob = Quantity | str | float | int | bool
-# A step of a motion is over at a time if it is so up to this part of a step.
+# A step of a motion counts as completed at a time up to this part of a step.
 SAME_STEP = 1e-6
-# A step of the load path stands at a load factor if it does so to rounding.
+# A step of the load path is at a load factor if both agree to rounding.
 SAME_TIME = 1e-12
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A method with the knobs it is run with; quantities still carry their units."""
+    """A method with its options; quantities still carry their units."""
 
     method: str = "active-set"
     knobs: Mapping[str, Knob] = field(default_factory=dict)
     engine: str = SERIAL
-    checkpoint: str | None = None  # the folder for the steps of a load path, of engines that keep them
+    checkpoint: str | None = None  # the folder for checkpoints of a load path
 
     def options(self, scene: SceneData) -> dict[str, Any]:
-        """Return the knobs as numbers in the scene's units."""
+        """Return the options as numbers in the scene's units."""
         return {
             name: float(scene.system.value(knob)) if isinstance(knob, Quantity) else knob
             for name, knob in self.knobs.items()
         }
 
     def concerns(self, claim: Claim) -> bool:
-        """Return whether the claim is about this method: by name and knobs, or as both are about the exact answer."""
+        """Return whether the claim concerns this method, by name and options or as both refer to the exact answer."""
         if claim.method is None:
             serial = self.engine == SERIAL
             return find(self.method).exact if serial else claim.with_respect_to is None
@@ -93,24 +93,26 @@ class Judgement:
 
     @cached_property
     def solution(self) -> Solution:
-        """Return the solution at the end of the load path, or under the full load, proven with friction, too."""
+        """Return the solution at the end of the load path or under the full load, also with friction certified with
+        bounds.
+        """
         return with_bounds(self.history)
 
     @property
     def met(self) -> bool:
-        """Return whether all that the case says of this method holds; of what it says nothing of, the certificate."""
+        """Return whether all claims about this method hold; without claims, whether the certificate passes."""
         rows = (*self.expectations, *self.published)
         return all(row.ok for row in rows) if rows else self.solution.certificate.passed
 
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """A trial without an answer; `history` is that until then, of a path or a motion that was cut short."""
+    """A trial without an answer; `history` holds the completed part of a path or motion."""
 
     scene: SceneData
     trial: Trial
     message: str
-    code: str  # that of the error
+    code: str  # code of the error
     history: History | None = None
     met: bool = False
 
@@ -241,12 +243,12 @@ class _Answers:
         self._known: dict[Fraction | Quantity, Answer | BodyAnswer] = {}
 
     def of(self, claim: Claim) -> Answer | BodyAnswer:
-        """Return the answer that the claim is about.
+        """Return the answer at the instant of the claim.
 
         Raises
         ------
         SceneError
-            With friction, where no step of the path stands there.
+            With friction, no step of the path is at that instant.
         """
         motion = self._model.scene.motion
         if motion is not None:
@@ -260,13 +262,13 @@ class _Answers:
         return self._known[time]
 
     def _moving(self, time: Fraction) -> Answer | BodyAnswer:
-        """Return the answer at the end of the last step that is over at a time, to a rounding of the step."""
+        """Return the answer at the end of the last step completed at a time."""
         times = self._history.times
         step = max(int(np.searchsorted(times, float(time) + SAME_STEP * (times[1] - times[0]), side="right")) - 1, 0)
         return answer_of(self._model, self._history[step], Instant(history=self._history, step=step))
 
     def _deformed(self, claim: Claim) -> Answer | BodyAnswer:
-        """Return the answer at a step of the path; no load beside the path has one."""
+        """Return the answer at a step of the path; large deformations have none between the steps."""
         scene, history = self._model.scene, self._history
         wanted, found, what = float(end_time(scene)), history.times, "load factor"
         if claim.time is not None or claim.load_factor != 1:
@@ -311,7 +313,7 @@ def _seconds(time: Fraction | Quantity) -> Fraction:
 
 
 def answer_of(model: NodeModel | BodyModel, solution: Any, instant: Instant | None = None) -> Answer | BodyAnswer:
-    """Return what claims are asked of; without an instant, at the end of the load path or under the full load."""
+    """Return the answer of a scene for claims, by default at the end of the load path or under the full load."""
     instant = instant or Instant(end_time(model.scene))
     if isinstance(model, NodeModel):
         return Answer(model, solution, instant)
@@ -333,7 +335,7 @@ Shown = float | str | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Comparison:
-    """One row: a quantity, its expected value, the answer's, and whether that is close enough."""
+    """A claimed quantity, its expected value, the answer's value, and whether both agree."""
 
     quantity: str
     expected: Shown
@@ -343,9 +345,9 @@ class Comparison:
     tolerance: float
     relative: bool
     ok: bool
-    reason: str  # the derivation, or why the printed number is right or wrong
+    reason: str  # the derivation, or the reason of the verdict
     verdict: str | None = None  # on a printed number
-    erratum: str | None = None  # its number in the list of errata
+    erratum: str | None = None  # number in the list of errata
 
 
 def compare_expectation(expectation: Expectation, answer: Answer | BodyAnswer) -> Comparison:
@@ -381,7 +383,7 @@ def compare_published(published: Published, answer: Answer | BodyAnswer) -> Comp
     system, target = answer.scene.system, published.target
     printed, half_digit = system.value(target), system.value(published.half_digit)
     error = math.inf if isinstance(got, str) else _distance(got, [printed])
-    # The answer is a double: a printed number that ends in an exact tie is not wrong by the rounding of the last place.
+    # The answer is a double, so the comparison allows for its rounding where the exact value lies midway.
     agrees = error <= float(half_digit) * (1 + 1e-9)
     return Comparison(
         quantity=str(published),
@@ -418,7 +420,7 @@ def _unit(claim: Claim, targets: Sequence[Quantity], system: UnitSystem) -> str:
 
 
 def are_case_files(arguments: Iterable[str]) -> bool:
-    """Return whether all that is named is case files by their suffix or their shipped names, or on standard input."""
+    """Return whether all arguments are case files, by suffix or shipped name, or standard input."""
     return all(
         argument == STANDARD_INPUT or (case_path(argument).suffix.lower() == ".toml" and not Path(argument).is_dir())
         for argument in arguments
@@ -426,7 +428,7 @@ def are_case_files(arguments: Iterable[str]) -> bool:
 
 
 def case_files(arguments: Iterable[str]) -> list[str]:
-    """Return the files that are named, by their path or as `case_path` finds them, and all of the folders that are."""
+    """Return the case files named by path or by `case_path`, and all in named folders."""
     files: list[str] = []
     for argument in arguments:
         if not Path(argument).is_dir():
@@ -441,7 +443,7 @@ def case_files(arguments: Iterable[str]) -> list[str]:
 
 
 def refuse_undecodable(*files: str) -> None:
-    """Raise SceneError where the name of a file is not UTF-8: reports and cases are, and name it."""
+    """Raise SceneError where the name of a file is not UTF-8, as reports and cases could not contain it."""
     for file in files:
         try:
             file.encode("utf-8")

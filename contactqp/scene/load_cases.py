@@ -1,4 +1,4 @@
-"""A case file under many loads: a table of load cases read, solved, printed and written."""
+"""Solve a case under many loads from a table of load cases, and print and write the answers."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class CaseAnswers:
 
 
 def solve_cases(scene: SceneData, file: str, method: str, knobs: Mapping[str, Knob]) -> CaseAnswers:
-    """Solve a scene under each load case of a table, in the scene's units; what it does not state is the scene's own.
+    """Solve a scene under each load case of a table, in the scene's units; omitted values are those of the scene.
 
-    Raises Unsupported: the scene has a load path, a motion or large deformations; InvalidProblem: the table is none, or
-    names what the scene has not.
+    Raises Unsupported: the scene has a load path, a motion or large deformations; InvalidProblem: the table is invalid
+    or names unknown columns.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def solve_cases(scene: SceneData, file: str, method: str, knobs: Mapping[str, Kn
 
 
 def _loads(problem: ContactProblem, rows: CaseRows) -> Any:
-    """Return the loads of all cases as a sparse matrix: bodies have many unknowns and few that are loaded."""
+    """Return the loads of all cases as a sparse matrix, since few unknowns of a body are loaded."""
     loaded = np.union1d(np.flatnonzero(problem.load), np.array(list(rows.loads), dtype=np.intp))
     own = {int(j): (None,) * len(rows.names) for j in loaded}
     columns = _filled(problem.load[loaded], {k: (own | rows.loads)[j] for k, j in enumerate(own)}, len(rows.names))
@@ -80,7 +80,7 @@ def _loads(problem: ContactProblem, rows: CaseRows) -> Any:
 
 
 def _filled(own: Any, columns: Mapping[int, Sequence[float | None]], count: int) -> Any:
-    """Return one row for each case: a problem's own numbers, but for those that are stated."""
+    """Return one row for each case, the problem's own values with the stated ones inserted."""
     filled = np.tile(own, (count, 1))
     for place, cells in columns.items():
         stated = [i for i, cell in enumerate(cells) if cell is not None]

@@ -1,7 +1,6 @@
-"""A scene in motion or at large deformations: what `impact` and `large_deformation` take, with its names and units.
+"""Run `impact` and `large_deformation` on a scene, and return histories with its names and units.
 
-For a motion these are its mass, exact for nodes and by quadrature for bodies, its starts, and the momentum of its
-parts.
+For a motion the mass matrix is exact for nodes and integrated by quadrature for bodies.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ from contactqp.elements.nonlinear_truss import LAWS, LawOfEachBar, NonlinearTrus
 from contactqp.scene.geometry import obstacle
 from contactqp.scene.schema import end_time
 
-# Steps of a path that states none.
+# The default number of steps of a path.
 DEFAULT_STEPS = 10
-# What the scene says itself, and no option of a method does.
+# Settings that the scene states, so that they cannot be options of a method.
 OWN = ("steps", "control", "controlled", "target", "arc_length", "friction", "start", "tie", "tie_values")
 _BY_PLACE = re.compile(r"\bunknown (\d+)\b")
 
@@ -102,7 +101,7 @@ class DeformableModel:
     def support_forces(self, solution: LargeSolution) -> Array:
         """Return the forces of the supports on the body, at all unknowns: f_int + E_N' l_N + E_T' l_T - f.
 
-        At free unknowns it is what Newton's method left out of balance.
+        At free unknowns it is the residual that Newton's method left.
         """
         u = self.body.expand(solution.displacement)
         load = self.model.exact_load_at(Fraction(solution.load_factor))
@@ -119,8 +118,8 @@ class DeformableModel:
 def deform(model: NodeModel, method: str, **options: Any) -> LargeHistory:
     """Follow the path that the scene states, at large deformations.
 
-    Raises SceneError: what `large_deformation` refuses, with its key in ``path``; an option that belongs there;
-    NotConverged: with the history so far.
+    Raises SceneError: a setting that `large_deformation` refuses, with its key in ``path``, or an option that belongs
+    there; NotConverged: with the history so far.
     """
     scene, deformable = model.scene, DeformableModel(model)
     path = scene.path
@@ -177,13 +176,13 @@ def _solution_of_scene(model: NodeModel, solution: LargeSolution) -> LargeSoluti
 
 
 def _named(model: NodeModel, text: str) -> str:
-    """Return a text with unknowns by their names in place of their numbers."""
+    """Return a message with the names of unknowns in place of their numbers."""
     free = model.exact.unknowns.free
     return _BY_PLACE.sub(lambda found: free[int(found[1])], text)
 
 
 def exact_mass(scene: SceneData) -> Mapping[tuple[str, str], Number]:
-    """Return M on all unknowns by their names, in the scene's units; what is zero is left out."""
+    """Return the nonzero entries of M on all unknowns by their names, in the scene's units."""
     lumped = scene.motion is not None and scene.motion.mass == "lumped"
     return assembled(part for _, element in scene.elements for part in element.masses(scene, lumped))
 
@@ -202,7 +201,7 @@ def mass_on_all(model: Model) -> Any:
 
 
 def free_places(model: Model) -> Index:
-    """Return the places of the free unknowns among all."""
+    """Return the indices of the free unknowns among all."""
     if not isinstance(model, NodeModel):
         return model.system.free
     unknowns = model.exact.unknowns
@@ -214,12 +213,12 @@ TIME_LABEL = "time [s]"
 
 
 def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> MotionHistory:
-    """Follow the motion that the scene states, of the model's own problem or a copy of it.
+    """Follow the motion that the scene states, for the model's problem or a modified copy.
 
     Raises
     ------
     SceneError
-        What `impact` refuses, with its key in ``motion``; an option that belongs there.
+        A setting that `impact` refuses, with its key in ``motion``, or an option that belongs there.
     Unsupported
         A method that is approximate by design.
     """
@@ -264,9 +263,9 @@ def move(model: Model, problem: ContactProblem, method: str, **options: Any) -> 
 
 
 def start_of(model: Model, key: str) -> Vector:
-    """Return the ``displacements`` or ``velocities`` that all unknowns start with, in the scene's units.
+    """Return the initial ``displacements`` or ``velocities`` of all unknowns, in the scene's units.
 
-    Raises SceneError: a body that is set going along an axis that a support holds.
+    Raises SceneError: an initial velocity along an axis that a support fixes.
     """
     places = dict(_places(model))
     start = np.zeros(sum(len(at) for at in places.values()))
@@ -281,7 +280,7 @@ def start_of(model: Model, key: str) -> Vector:
 
 
 def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, part: str | None = None) -> float:
-    """Return the sum of M v over the unknowns along an axis [force time]; M is what the scheme steps with.
+    """Return the sum of M v over the unknowns along an axis [force * time], with the mass matrix of the scheme.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, 
         One bar, point mass or body; by default the whole scene. At nodes that parts share, the mass of all counts.
     """
     free = free_places(model)
-    sums = mass_on_all(model)[:, free] @ velocity  # fixed unknowns too: a consistent mass spreads to them
+    sums = mass_on_all(model)[:, free] @ velocity  # fixed ones too: a consistent mass couples them
     sums[free] = history.motion.scheme.body.mass @ velocity
     places = dict(_places(model))
     return float(sum(sums[places[name]].sum() for name in _along(model, axis, part)))
@@ -311,7 +310,7 @@ def _along(model: Model, axis: str, part: str | None) -> list[str]:
 
 
 def _places(model: Model) -> Iterator[tuple[str, Index]]:
-    """Yield the names of starts, unknowns or ``body.axis``, and their places among all unknowns."""
+    """Yield the names of unknowns or ``body.axis`` with initial values, and their indices among all unknowns."""
     if isinstance(model, NodeModel):
         for name, place in model.exact.unknowns.place.items():
             yield name, np.array([place])

@@ -1,4 +1,4 @@
-"""Judgements on a screen and as plain data for JSON: tables, events of a path, and courses drawn in one line each."""
+"""Print judgements as tables, and return them as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from contactqp.scene.judging import Comparison, Failure, Judgement
 from contactqp.scene.schema import is_rotation
 from contactqp.scene.tables import DRAWN_AS_ZERO, MOST_ROWS, Drawn, bars, print_table, print_wrapped, shown, written
 
-# What a table calls them where that is not the key of the JSON.
+# Names in tables that differ from the keys of the JSON.
 ENERGIES = {"work": "work of the loads", "impact": "taken by impact"}
-# Rows of a table that are printed where not all are asked for: as many as let the answer stand on a screen.
+# The rows of a table that are printed unless --verbose is set, so that the answer fits a screen.
 FEW_ROWS, SCREEN = (8, 6, 4), 40
-# Lines between two tables, of which one is enough.
+# Repeated empty lines between tables, which are reduced to one.
 _BLANK_LINES = re.compile(r"^(?: *\n){2,}", re.MULTILINE)
-# Columns from which on a table has room for the method and its settings beside what is claimed of it.
+# The width of a terminal that has room for columns of the method and its settings.
 WIDE_ENOUGH = 120
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement], verbose: bool = True) -> None:
     """Print the answer of a scene's first trial in full, and in one table the claims about the other methods.
 
-    Unless `verbose`, of long tables the first rows, and of the claims that are met how many they are.
+    Unless `verbose`, long tables are cut and claims that are met are only counted.
     """
     if not judgements:
         return
@@ -59,7 +59,7 @@ def print_judgements(console: Console, judgements: Sequence[Judgement], verbose:
 
 
 def _print_with_claims(console: Console, judgements: Sequence[Judgement], most: int, verbose: bool) -> None:
-    """Print the answer of the first trial with at most so many rows of a table, and the claims about the others."""
+    """Print the answer of the first trial with at most `most` rows of each table, and the claims about the others."""
     print_judgement(console, judgements[0], verbose, most)
     others = judgements[1:]
     _print_comparisons(console, others, ["method", "certificate"], unmet_alone=not verbose)
@@ -95,10 +95,9 @@ def met_in_words(judgements: Iterable[Judgement]) -> str:
 
 
 def print_judgement(console: Console, judgement: Judgement, verbose: bool = True, most: int = MOST_ROWS) -> None:
-    """Print displacements, contact forces, the certificate's verdict, and what was expected of them.
+    """Print displacements, contact forces, the certificate's verdict, and the comparison with the claims.
 
-    Of long tables the first rows are printed, `most` of them, and of more claims that are met how many they are. The
-    courses are left out where only the least rows have room.
+    At most `most` rows of each table are printed. Courses are left out where the screen has no room.
 
     Parameters
     ----------
@@ -180,7 +179,7 @@ def _print_largest(
     pictures: Sequence[tuple[int, Array]],
     most: int,
 ) -> None:
-    """Print at most so many rows of a table, those of the largest sizes, in their order; and how many there are."""
+    """Print at most `most` rows of a table, those of the largest `size`, in their order, and the number of all."""
     order = np.argsort(-np.nan_to_num(abs(size)), kind="stable")
     chosen = np.sort(order[:most]) if len(rows) > most else np.arange(len(rows))
     drawn = [_drawn(before, values[chosen]) for before, values in pictures]
@@ -195,9 +194,9 @@ def _drawn(before: int, values: ArrayLike) -> Drawn:
 
 
 def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], float]]]:
-    """Return displacements, in a motion velocities too; of divided bars only those of their ends.
+    """Return displacements, in a motion also velocities; of divided bars only those of the ends.
 
-    Each row with what is drawn of it: its displacement, and no rotation, which is none.
+    Each row comes with the value of its bar in the picture, the displacement, and 0 for a rotation.
     """
     solution, scene = judgement.solution, judgement.scene
     length, ends = scene.units.length, {node.name for node in scene.nodes}
@@ -217,7 +216,7 @@ def _unknowns(judgement: Judgement) -> tuple[list[str], list[tuple[list[str], fl
 
 
 def _energies(judgement: Judgement) -> dict[str, float]:
-    """Return where the work went, where the answer depends on the path: in a motion, and on a path with friction."""
+    """Return the energies of a motion or of a path with friction, empty otherwise."""
     scene = judgement.scene
     end = judgement.history.energies[-1] if scene.motion or scene.path else None
     if end is None or not (scene.motion or scene.large or judgement.solution.problem.frictional):
@@ -244,17 +243,17 @@ def _verdict_in_a_word(judgement: Judgement) -> str:
 
 
 def _print_failures(console: Console, judgement: Judgement) -> None:
-    """Print what the certificate refuses the answer for, one in a line."""
+    """Print the failures of the certificate, one per line."""
     print_wrapped(console, [f"  {failure}" for failure in judgement.solution.certificate.failures])
 
 
 def _proven(certificate: Certificate) -> str:
-    """Return of what the error bounds are proven."""
+    """Return the text on the scope of the error bounds."""
     return ", error bounds proven" + (" for the equilibrium nearby" if certificate.scope == LOCALLY else "")
 
 
 def _unproven(certificate: Certificate) -> str:
-    """Return what a verdict rests on that is not proven."""
+    """Return the text on the basis of a verdict without bounds."""
     if certificate.basis == STATE:
         return ", not proven (friction)"
     return ", by its figures alone" if certificate.basis == FIGURES_ALONE else ""
@@ -316,7 +315,7 @@ def _comparison(row: Comparison) -> list[str | Text]:
 
 
 def print_failure(console: Console, failure: Failure) -> None:
-    """Print how far a path or a motion came that was cut short; the message itself is not printed."""
+    """Print how far an interrupted path or motion came, without the error message."""
     history = failure.history
     if history is None or len(history) == 0:
         return
@@ -328,7 +327,7 @@ def print_failure(console: Console, failure: Failure) -> None:
 
 
 def print_events(console: Console, history: History, when: str, verbose: bool = True) -> None:
-    """Print events and limit points; of many, unless `verbose`, those of one kind at one time in one row.
+    """Print events and limit points; unless `verbose`, many events of one kind at one time share a row.
 
     Parameters
     ----------
@@ -442,8 +441,8 @@ def _energy_data(judgement: Judgement) -> dict[str, Any]:
 def _history_data(judgement: Judgement) -> dict[str, Any]:
     """Return the forces of contacts at every instant of a path or a motion, and on a path their statuses.
 
-    The normal force is that of each contact of the scene, of many nodes their sum; friction and status are those of
-    each contact of the problem. A motion has no statuses, which only a certificate of every step would tell.
+    The normal force is that of each contact of the scene, summed over its nodes; friction and status are those of each
+    contact of the problem. A motion has no statuses, as they would need a certificate of every step.
     """
     history = judgement.history
     if len(history) < 2:

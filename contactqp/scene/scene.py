@@ -1,4 +1,4 @@
-"""A case that has been read and checked, the contact problem that it states, and its answer."""
+"""Read a case file into a checked `Scene`, and solve its contact problem."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Scene(SceneData):
         Raises
         ------
         InvalidProblem, SceneError
-            The numbers are no contact problem; of bodies: a mesh, a side or a pair that is no good, and which.
+            The numbers are no contact problem, or a mesh, a side or a pair of bodies is invalid.
         BackendMissing
             A mesh file that needs meshlane, which is not installed.
         """
@@ -73,7 +73,7 @@ class Scene(SceneData):
 
 
 def register_block(key: str, kind: type[Element]) -> None:
-    """Add a block of one's own elements to case files: they are loaded, checked, solved, explained and drawn.
+    """Register another kind of elements as a block of case files, which are then loaded, checked, solved and drawn.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def register_block(key: str, kind: type[Element]) -> None:
     Raises
     ------
     InvalidProblem
-        The key, the noun or a quantity is one that something else has; `large` is set, which only bars can be.
+        The key, the noun or a quantity is already in use, or `large` is set, which only bars support.
     """
     nouns = {other.noun for other in BLOCKS.values()} | {str(measure.at) for measure in QUANTITIES.values()}
     taken = [f"quantity {name!r}" for name in kind.quantities if name in QUANTITIES]
@@ -108,15 +108,16 @@ LARGEST = 2**25
 
 @checked
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read and check a case file, or what comes in on standard input where the path is "-".
+    """Read and check a case file, or standard input where the path is "-".
 
-    A bare name of which there is no file here is that of a case that comes with the package: ``"bar_wall"``. Numbers
-    are read as decimals, so that 0.1 is 1/10.
+    A bare name such as ``"bar_wall"``, without a file of that name, is a case that comes with the package. Numbers are
+    read as decimals, so that 0.1 is 1/10.
 
     Raises
     ------
     SceneError
-        The file cannot be read, is no TOML, or is no scene: one line with file, key, what was expected and what came.
+        The file cannot be read, is no TOML, or is no scene; the message states file, key, what was expected and what
+        came.
     """
     file, text = Path(path) if str(path) == STANDARD_INPUT else case_path(Path(path)), ""
     try:
@@ -140,9 +141,9 @@ def _standard_input() -> str:
 
 
 def read_standard_input(what: str) -> bytes:
-    """Return all that comes in on standard input, which is to be `what`.
+    """Return the content of standard input, which should be `what`.
 
-    Raises SceneError: it is closed, or holds more than a file may.
+    Raises SceneError: it is closed, or longer than a file may be.
     """
     if sys.stdin is None or sys.stdin.closed:
         raise SceneError(f"expected {what}, and it is closed")
@@ -188,16 +189,16 @@ def _decoded(data: bytes) -> str:
 
 # The path of a key with which a message begins, as in ``bars[1].area``, and its parts.
 _KEY_PATH, _KEY_PART = re.compile(r"[A-Za-z_][\w-]*(?:\[\d+\]|\.[\w-]+)*"), re.compile(r"\[\d+\]|[\w-]+")
-# What closes a list or a text that a file goes on with on its next line.
+# Text that closes a list or string which continues on the next line.
 _CLOSING = ("", "]", "]]", '"""', "'''")
-# Of longer files, and where more lines than this cannot be read without the next, no line is told: it takes seconds.
+# Limits beyond which the line of an error is not searched, as this would take seconds.
 _LONGEST, _MOST_LINES = 2**20, 20
 
 
 def _line_of(text: str, message: str) -> int | None:
-    """Return the number of the line where the key stands that a message begins with; None where the text has none.
+    """Return the line number of the key with which a message begins, None where the text does not have it.
 
-    A missing key has the line of its table. TOML is read line by line: the key stands in the first lines that have it.
+    A missing key has the line of its table. The first lines of the file are parsed until they contain the key.
     """
     path, lines = _KEY_PATH.match(message), text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     whole = _read(lines) if path is not None and len(text) <= _LONGEST else None
@@ -216,7 +217,7 @@ def _line_of(text: str, message: str) -> int | None:
         if data is None:
             return None
         first, last = (first, middle) if _has(data, parts) else (readable + 1, last)
-    # Lines that cannot be read without this one belong to it.
+    # Earlier lines that cannot be parsed without this one belong to it.
     while first > 1 and _read(lines[: first - 1]) is None:
         first -= 1
     return first
@@ -238,7 +239,7 @@ def _has(data: Any, parts: Sequence[int | str]) -> bool:
     return True
 
 
-# Suffixes of meshes, which people take for cases.
+# Suffixes of mesh files, which users mistake for cases.
 _MESHES = frozenset((".msh", ".vtk", ".vtu", ".xdmf", ".med", ".stl", ".unv", ".bdf", ".nas", ".exo", ".mesh", ".ply"))
 
 
@@ -286,7 +287,7 @@ def run(
         With "petsc", a folder where every step is kept. Steps that are there already are not solved again, whatever
         number of ranks has solved them.
     **options
-        Of `contactqp.solve`; numbers are in the scene's units.
+        Options of `contactqp.solve`, with numbers in the scene's units.
 
     Raises
     ------
@@ -311,7 +312,7 @@ def build_for(scene: SceneData, engine: str = SERIAL) -> Any:
 def run_model(
     model: Model, method: str, engine: str = SERIAL, checkpoint: str | Path | None = None, **options: Any
 ) -> History:
-    """Solve a scene that is built already.
+    """Solve a scene whose model has been built.
 
     Parameters
     ----------
@@ -332,7 +333,7 @@ def run_model(
 
 
 def follow(model: Model, problem: ContactProblem, method: str, **options: Any) -> History:
-    """Solve the model's own problem or a copy of it, as `run_model` does."""
+    """Solve the model's problem, or a modified copy of it, as `run_model` does."""
     if model.scene.path is None and model.scene.motion is None:
         return History([solve(problem, method, **options)], [1.0])
     with stage(STEPS):
@@ -344,7 +345,7 @@ def _steps(model: Model, problem: ContactProblem, method: str, **options: Any) -
         from contactqp.scene.building import NodeModel
         from contactqp.scene.moving import deform
 
-        assert isinstance(model, NodeModel)  # large deformations are offered of nodes only
+        assert isinstance(model, NodeModel)  # only scenes of nodes have large deformations
         return deform(model, method, **options)
     if model.scene.motion is not None:
         from contactqp.scene.moving import move
@@ -353,6 +354,6 @@ def _steps(model: Model, problem: ContactProblem, method: str, **options: Any) -
     from contactqp.analysis.load_path import follow_path
 
     path = model.scene.path
-    assert path is not None  # what has none is one instant
+    assert path is not None  # one instant where there is no path
     corners = [model.load_at(Fraction(i + 1)) for i in range(int(end_time(model.scene)))]
     return follow_path(problem, loads=corners, steps=path.steps, events=path.events, method=method, **options)

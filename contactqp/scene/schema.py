@@ -1,9 +1,10 @@
-"""The keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"], nodes=[...])``.
+"""Define the keys of a case file. The same names build a scene in Python: ``Scene(title=..., axes=["x"],
+nodes=[...])``.
 
 Elements between nodes have their keys in `contactqp.scene.blocks`, elastic bodies in `contactqp.scene.schema_bodies`.
 
-The unknowns of a scene follow from it, which of them are fixed, the factors of loads on its path, and the starts of its
-motion.
+Functions of a scene give its unknowns, which of them are fixed, the load factors on its path, and the initial values of
+its motion.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from contactqp.scene.claims import Expectation, Published, Remark, Report, Study
 from contactqp.scene.fields import Block, Name, Number, TwoNames, add_patterns_of_units, check_own_keys, no_such
 from contactqp.scene.schema_bodies import Body, Membrane, PointLoad, PressureLoad, Support, Traction
 
-# What each kind of obstacle must state, and what it may.
+# The required and the optional keys of each kind of obstacle.
 OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "plane": (("point", "normal"), ()),
     "circle": (("centre", "radius"), ("inside",)),
@@ -36,7 +37,7 @@ OBSTACLES: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 
 
-# What cases are about, in the order in which they are shown.
+# The subjects of cases, in the order in which they are listed.
 PHYSICS = (
     "bars, springs and beams",
     "strings and membranes",
@@ -78,7 +79,7 @@ class Obstacle(Block):
 
 
 class Contact(Block):
-    """Who may touch whom: one of five.
+    """A pair of partners that may touch, in one of five forms.
 
     `node` and `obstacle`; two `nodes`, along `direction` or else along the line from the first to the second; a `side`
     of a body (``"block.bottom"``) and `obstacle`; two `sides`, the slave's first, by the `pairing` ``"mortar"`` or
@@ -87,8 +88,8 @@ class Contact(Block):
     `obstacle`: it stays above.
 
     `friction` is Coulomb's coefficient; between nodes, or a node and an obstacle, slip is counted from `slip_origin`,
-    the displacement along the axes (of the first node against the second) that stood when they touched. A load path
-    finds that itself.
+    the displacement along the axes (of the first node against the second) at first contact. On a load path it is
+    computed.
     """
 
     name: Name
@@ -146,22 +147,22 @@ class Contact(Block):
         return self.sides or ((self.side,) if self.side else ())
 
 
-# How the points of a path at large deformations are picked, and the keys that each control has of its own.
+# The controls of a path at large deformations, with the keys of each.
 CONTROLS: dict[str, tuple[str, ...]] = {
     "load": (),
     "displacement": ("controlled", "target"),
     "arc-length": ("arc_length",),
 }
 
-# What loads are multiplied by, by their names.
+# The factors of loads by their names.
 Corner = dict[Name, Number]
 
 
 class LoadPath(Block):
-    """How the loads come: all together from nothing to their values, or from corner to corner.
+    """The path of the loads, proportional from zero to their values or piecewise linear between corners.
 
-    A corner says what the loads are multiplied by there; a load that it does not name is zero there. Loads are called
-    by their `name`, those of one name together, and ``gravity`` is what masses and bodies weigh::
+    A corner states the factors of the loads there, 0 for loads that it does not name. Loads with the same `name` share
+    a factor, and ``gravity`` names the weight of masses and bodies::
 
         corners = [{ gravity = 1 }, { gravity = 1, push = 1 }, { gravity = 1, push = -0.5 }]
 
@@ -208,20 +209,22 @@ def _known_scheme(value: str) -> str:
 
 
 class _Start(Block):
-    """What a part of the scene starts with: a body, a bar, a node, or one unknown ``node.axis``."""
+    """An initial value of a body, a bar, a node, or one unknown ``node.axis``."""
 
     of: Name
 
 
 class StartVelocity(_Start):
-    """A velocity along the axes, of an unknown one number; of a bar `to` that of its second node, linear between."""
+    """An initial velocity along the axes, one number for an unknown; for a bar `to` is that of its second node, linear
+    between.
+    """
 
     value: fields.Velocities
     to: fields.Velocities | None = None
 
 
 class StartDisplacement(_Start):
-    """A displacement, with the keys of a velocity."""
+    """An initial displacement, with the keys of a velocity."""
 
     value: fields.Point
     to: fields.Point | None = None
@@ -230,8 +233,8 @@ class StartDisplacement(_Start):
 class Motion(Block):
     """The scene moves: from `start` on for `duration`, in equal steps, all loads constant.
 
-    `scheme` is one of `contactqp.impact`, `theta`, `restitution` and `penalty` are its knobs. `mass` is ``consistent``
-    or ``lumped``. What `displacements` and `velocities` do not name starts where it stands, at rest.
+    `scheme` is one of `contactqp.impact`, and `theta`, `restitution` and `penalty` are its parameters. `mass` is
+    ``consistent`` or ``lumped``. Parts that `displacements` and `velocities` do not name start undeformed and at rest.
     """
 
     start: Annotated[fields.Time, Field(validate_default=True)] = "0 s"  # type: ignore[assignment]
@@ -290,7 +293,7 @@ class Tie(Block):
 
 
 class Load(Block):
-    """A force along an unknown, or a moment about a rotation. Corners of a path speak of it by its `name`."""
+    """A force along an unknown, or a moment about a rotation; corners of a path refer to its `name`."""
 
     name: Name | None = None
     unknown: Name
@@ -298,7 +301,7 @@ class Load(Block):
 
 
 class SceneData(Frame):
-    """The contents of a case file, before it is checked whether the parts fit each other: frozen data."""
+    """The contents of a case file as frozen data, before the parts are checked against each other."""
 
     fixed: tuple[Name, ...] = ()  # unknowns, or nodes with all of theirs
     ties: tuple[Tie, ...] = ()
@@ -333,7 +336,7 @@ class SceneData(Frame):
 
     @property
     def physics(self) -> str:
-        """Return what it is about, one of `PHYSICS`."""
+        """Return the subject of the case, one of `PHYSICS`."""
         if self.motion is not None:
             return "motion and impact"
         if self.large:
@@ -346,7 +349,7 @@ class SceneData(Frame):
 
     @property
     def meshed(self) -> tuple[Body | Membrane, ...]:
-        """Return all that has a mesh."""
+        """Return the bodies and membranes."""
         return (*self.bodies, *self.membranes)
 
     def body(self, name: str) -> Body:
@@ -374,12 +377,12 @@ class Unknowns:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Return those that are not fixed."""
+        """Return the free unknowns."""
         return tuple(name for name in self.names if name not in self.fixed)
 
     @cached_property
     def place(self) -> dict[str, int]:
-        """Return the place of each of them among all."""
+        """Return the index of each unknown."""
         return {name: i for i, name in enumerate(self.names)}
 
 
@@ -389,7 +392,7 @@ def is_rotation(unknown: str) -> bool:
 
 
 def unknowns_of(scene: SceneData) -> Unknowns:
-    """Return the displacements of all nodes, and a rotation where an element turns them."""
+    """Return the displacements of all nodes, and rotations at the nodes of beams."""
     turning = {node for _, element in scene.elements for node in element.turning}
     by_node = {
         node: scene.displacements(node) + ((f"{node}.{ROTATION}",) if node in turning else ())
@@ -399,13 +402,13 @@ def unknowns_of(scene: SceneData) -> Unknowns:
     return Unknowns(tuple(name for names in by_node.values() for name in names), frozenset(fixed))
 
 
-# What masses and bodies weigh goes by this name.
+# The name of the load by the weight of masses and bodies.
 GRAVITY = "gravity"
 
 
 @dataclass(frozen=True)
 class Factors:
-    """The factors of the loads: those of loads that are named here, and that of all others."""
+    """The factors of the named loads, and the factor of all others."""
 
     others: Fraction = Fraction(0)
     named: Mapping[str, Fraction] = field(default_factory=dict)
@@ -416,7 +419,7 @@ class Factors:
 
 
 def has_corners(scene: SceneData) -> bool:
-    """Return whether loads come one by one and not all together."""
+    """Return whether the path has corners, at which loads have factors of their own."""
     return scene.path is not None and scene.path.corners is not None
 
 
@@ -442,7 +445,7 @@ def factors_at(scene: SceneData, time: Fraction) -> Factors:
 
 
 def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
-    """Yield the key of every load, and the name that corners have for it."""
+    """Yield the key of every load and its name in corners."""
     for key in ("loads", "line_loads", "tractions", "pressures", "point_loads"):
         yield from ((f"{key}[{i}]", load.name) for i, load in enumerate(getattr(scene, key)))
     if scene.gravity is not None:
@@ -450,9 +453,7 @@ def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
 
 
 def start_values(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
-    """Yield every unknown that the entry of a motion starts, with its number in the scene's units; of a body
-    ``body.axis``.
-    """
+    """Yield every unknown, or ``body.axis``, with an initial value by this entry, in the scene's units."""
     value = [scene.value(component) for component in item.value]
     bar = next((bar for bar in scene.bars if bar.name == item.of), None)
     if bar is not None:

@@ -1,4 +1,4 @@
-"""The keys of elastic bodies: their meshes and materials, what holds them, and what loads them."""
+"""Define the keys of elastic bodies: meshes, materials, supports and loads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Divisions = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 
 
 class ShapeKeys(NamedTuple):
-    """What a shape must state besides its element, what it may, and how many numbers those that are lists have."""
+    """The required and optional keys of a shape besides its element, and the lengths of those that are lists."""
 
     required: tuple[str, ...]
     optional: tuple[str, ...]
@@ -46,7 +46,7 @@ def _known(names: tuple[str, ...] | Mapping[str, object], what: str) -> Callable
 
 
 def _known_element(value: str) -> str:
-    from contactqp.elements.reference_elements import KINDS as ELEMENTS  # which computes the rules of all of them
+    from contactqp.elements.reference_elements import KINDS as ELEMENTS  # importing it computes all quadrature rules
 
     return _known(ELEMENTS, "element")(value)
 
@@ -106,7 +106,7 @@ class MeshFile(Block):
 
 
 class _Meshed(Block):
-    """What has a mesh."""
+    """A part of the scene with a mesh."""
 
     name: BodyName
     shape: Shape | None = None
@@ -186,7 +186,7 @@ class Support(_Place):
 
 
 class PointLoad(_Place):
-    """A force on each of some nodes, in axial symmetry that on the full circle."""
+    """A force on each of some nodes, in axial symmetry on the full circle."""
 
     name: Name
     force: fields.Forces

@@ -1,4 +1,4 @@
-"""The cases that come with the package, by name: those of the wheel, or of the checkout that this is installed from."""
+"""Find the cases that come with the package by name, in the wheel or in the checkout of an editable installation."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 from contactqp.errors import SceneError
 
 SUFFIX = ".toml"
-# Words that begin with as many letters alike are likely of one family: spherical and sphere.
+# Words with this many first letters in common count as related, such as spherical and sphere.
 LEAST_STEM = 4
 
 
 @dataclass(frozen=True)
 class ShippedCase:
-    """One case: its file, its name on the command line, its title, its `about`, and all that stands in the file."""
+    """A shipped case: its file, name, title, `about` and the text of the file."""
 
     file: Path
     title: str
@@ -31,10 +31,10 @@ class ShippedCase:
         return self.file.stem
 
     def has(self, word: str) -> bool:
-        """Say whether a word of the name or the file begins so, or as the stem of it, in any case: bouncing, bounces.
+        """Return whether a word of the name or the file begins with `word` or its stem (bouncing, bounces), in any
+        case.
 
-        Parts of words that do not begin them are not looked at: ``ring`` is not in ``string``. A name with underscores
-        is that of one case.
+        Only beginnings of words match: ``ring`` does not match ``string``. A name with underscores matches one case.
         """
         if "_" in word:
             return self.name == word.casefold().removesuffix(SUFFIX)
@@ -43,7 +43,7 @@ class ShippedCase:
 
 
 def _stems(word: str) -> set[str]:
-    """Return a word, that of which it is a plural, and what its verb begins with where that is long enough.
+    """Return a word, its singular, and the stem of its verb where that is long enough.
 
     >>> sorted(_stems("bouncing")), sorted(_stems("springs")), sorted(_stems("string"))
     (['bounc', 'bouncing'], ['spring', 'springs'], ['string'])
@@ -53,7 +53,7 @@ def _stems(word: str) -> set[str]:
 
 
 def shipped_folder() -> Path | None:
-    """Return the folder of the cases; None where the package has come without them."""
+    """Return the folder of the cases, None where the package was installed without them."""
     package = Path(__file__).parents[1]
     checkout = package.parent
     places = [package / "cases", *([checkout / "cases"] if (checkout / "pyproject.toml").is_file() else [])]
@@ -67,7 +67,7 @@ def shipped_files() -> list[Path]:
 
 
 def shipped_cases(words: tuple[str, ...] = ()) -> list[ShippedCase]:
-    """Return the cases in whose name or file every one of some words stands.
+    """Return the cases that contain every one of some words in their name or file.
 
     >>> [case.name for case in shipped_cases(("hertz", "spheres", "mindlin"))]
     ['cattaneo_mindlin_sphere']
@@ -76,7 +76,7 @@ def shipped_cases(words: tuple[str, ...] = ()) -> list[ShippedCase]:
 
 
 def nearest_cases(words: tuple[str, ...]) -> tuple[list[ShippedCase], int]:
-    """Return the cases with the most of some words, and of how many; none where there is no word of them."""
+    """Return the cases that contain most of some words, and that number of words; no case where it is 0."""
     every = _all_cases()
     counts = [sum(map(case.has, words)) for case in every]
     most = max(counts, default=0)
@@ -95,7 +95,7 @@ def _case(file: Path) -> ShippedCase:
 
 
 def case_path(named: str | Path) -> Path:
-    """Return the path of a case: a file that is there, else the shipped case of that name, with its suffix or without.
+    """Return the path of a case, an existing file or else the shipped case of that name, with or without suffix.
 
     >>> case_path("bar_wall").name, str(case_path("elsewhere/bar_wall.toml"))
     ('bar_wall.toml', 'elsewhere/bar_wall.toml')
@@ -109,7 +109,7 @@ def case_path(named: str | Path) -> Path:
 def shipped_case(name: str) -> ShippedCase:
     """Return the case of that name.
 
-    Raises SceneError: there is none; the nearest are named.
+    Raises SceneError: there is none; the message names the nearest.
     """
     for file in shipped_files():
         if file.stem == name.removesuffix(SUFFIX):
@@ -128,18 +128,18 @@ def first_case(name: str) -> str:
 
 
 def nearest_files(named: Path) -> list[str]:
-    """Return the names of the case files in the folder of one that is missing which it may mean, as many as three."""
+    """Return up to three names of case files in the folder of a missing one that resemble its name."""
     there = {file.stem: str(file) for file in sorted(named.parent.glob(f"*{SUFFIX}"))}
     return [there[stem] for stem in difflib.get_close_matches(named.stem, there, n=3)]
 
 
 def nearest_names(named: str | Path) -> list[str]:
-    """Return the names of shipped cases that a name may mean."""
+    """Return the names of shipped cases that resemble a name."""
     return difflib.get_close_matches(Path(named).stem, [file.stem for file in shipped_files()], n=3)
 
 
 def nearest_words(words: tuple[str, ...]) -> list[str]:
-    """Return the words of names and titles that are nearest to words which no case has.
+    """Return the words of names and titles that resemble words which no case contains.
 
     >>> nearest_words(("spherical", "cantilver"))
     ['sphere', 'cantilever']

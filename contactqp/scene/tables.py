@@ -1,4 +1,4 @@
-"""Tables on a screen, and numbers drawn with letters: a bar for each of them, or the course of many in one line."""
+"""Print tables on a terminal, and draw numbers with block characters, as bars or as a curve in one line."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from rich.text import Text
 
 from contactqp.solving.methods import Method
 
-# Rows of a table on a screen; --json has all.
+# The most rows of a table on a terminal; --json has all.
 MOST_ROWS = 60
-# Letters of a picture, the widest first; what does not fit the terminal with the narrowest is left out.
+# Widths of a column of pictures in characters, the widest first; if none fits, the column is left out.
 WIDTHS = (24, 16, 10, 6)
-# Wider than any table: what it would like to have is then measured.
+# A width beyond any table, with which its natural width is measured.
 ENDLESS = 10_000
-# Of the largest value; what is smaller is drawn as zero.
+# Values below this part of the largest are drawn as zero.
 DRAWN_AS_ZERO = 1e-12
-# A number in a cell, with its unit where it has one; one of so many letters need not be shortened.
+# A number in a cell, with or without unit; short ones are not shortened.
 NUMBER = re.compile(r"([-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?)( rad(?:/s)?)?")
 SHORT = 8
-# Letters of a word up to which a narrow column keeps it whole.
+# The longest word that a narrow column does not break.
 LONGEST_WORD = 16
 
 
 @dataclass(frozen=True)
 class Letters:
-    """What bars and lines are made of."""
+    """The characters of bars and curves."""
 
     full: str
     starts: str  # growing parts of a letter, from the left
@@ -47,15 +47,14 @@ class Letters:
 
 
 BLOCKS = Letters("█", "▏▎▍▌▋▊▉", "▐", "▁▂▃▄▅▆▇█", "·", "│")
-# Where the output's encoding has no blocks.
+# Used where the output's encoding has no block characters.
 ASCII = Letters("#", "", "", ".:-=+*#@", "0", "|")
 
 
 def bars(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> list[str]:
-    """Return a horizontal bar for each value, the largest as long as `width`; no value above rounding is without a
-    trace.
+    """Return a horizontal bar for each value, the largest as long as `width`; every value above rounding is visible.
 
-    With negative values among them, bars go to both sides of an axis, and `width` is that of each side.
+    If some values are negative, bars extend to both sides of an axis, and `width` is that of each side.
     """
     sizes = np.asarray(values, dtype=float)
     finite = np.abs(sizes[np.isfinite(sizes)])
@@ -69,7 +68,7 @@ def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Le
         return ""
     if abs(value) <= DRAWN_AS_ZERO * largest:
         return f"{'':{width}}{letters.axis}" if both_sides else letters.zero
-    # Divided first: the width times the largest double is none.
+    # Divide first, since the width times the largest double would overflow.
     length = abs(value) / largest * width
     if not both_sides:
         return _filled(length, letters.full, letters.starts)
@@ -79,17 +78,17 @@ def _bar(value: float, largest: float, width: int, both_sides: bool, letters: Le
 
 
 def _filled(length: float, full: str, parts: str) -> str:
-    """Return so many letters, the last one in part; at least the smallest part."""
+    """Return a bar of this length in characters, the last one partly filled, at least with the smallest part."""
     steps = len(parts) + 1
     whole, part = divmod(max(round(length * steps), 1), steps)
     return full * whole + (parts[part - 1] if part else "")
 
 
 def course(values: ArrayLike, width: int, letters: Letters = BLOCKS) -> str:
-    """Return the course of values in one line of at most `width` letters, from the least of them, or zero, to the
+    """Return values as a curve in one line of at most `width` characters, from the least of them, or zero, to the
     largest.
 
-    Of values that share a letter the one furthest from zero is drawn; zero has a letter of its own.
+    Of values that share a character the one furthest from zero is drawn; zero has a separate character.
     """
     numbers = np.asarray(values, dtype=float)
     finite = numbers[np.isfinite(numbers)]
@@ -108,7 +107,7 @@ def _height(value: float, low: float, high: float, letters: Letters) -> str:
     if high <= low or abs(value) <= DRAWN_AS_ZERO * max(high, -low):
         return letters.zero
     steps = len(letters.heights)
-    # Halved where need be: the difference of the largest doubles of both signs is none, half of the smallest is zero.
+    # Halved only where the difference would overflow, as half of the smallest double is zero.
     half = 1.0 if math.isfinite(high - low) else 0.5
     part = (half * value - half * low) / (half * high - half * low)
     return letters.heights[min(int(part * steps), steps - 1)]
@@ -116,19 +115,19 @@ def _height(value: float, low: float, high: float, letters: Letters) -> str:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A column of pictures of as many letters as there is room for."""
+    """A column of pictures, made as wide as there is room for."""
 
-    before: int  # the column that it stands in front of
+    before: int  # the column to the right of it
     draw: Callable[[int, Letters], Sequence[str]]
 
 
 def written(value: float) -> str:
-    """Write a number to twelve digits."""
+    """Return a number with twelve digits."""
     return f"{value:.12g}"
 
 
 def shown(value: float | str | Sequence[float]) -> str:
-    """Write a value that a case states, or an answer to it: a number, a word, or the numbers of a matrix."""
+    """Return a stated or computed value as text: a number, a word, or the numbers of a matrix."""
     if isinstance(value, str):
         return value
     return "(" + ", ".join(f"{x:.6g}" for x in value) + ")" if isinstance(value, Sequence) else written(value)
@@ -175,7 +174,7 @@ def _fitting(
 
 
 def _one_below_another(console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]]) -> RenderableType:
-    """Return as many tables as it takes for all words to stay whole; each begins with the first column."""
+    """Return the columns in as many tables as keep all words whole; each begins with the first column."""
 
     def of_columns(places: Sequence[int]) -> Table:
         chosen = [[row[place] for place in places] for row in rows]
@@ -195,7 +194,7 @@ def _one_below_another(console: Console, header: Sequence[str], rows: Sequence[S
 
 
 def _shortened(cell: str | Text) -> str | Text:
-    """Return a number to six digits, where it has more; all else as it is."""
+    """Return a number with six digits if it has more; other text is unchanged."""
     match = NUMBER.fullmatch(cell) if isinstance(cell, str) else None
     return cell if match is None or len(match[0]) <= SHORT else f"{float(match[1]):.6g}{match[2] or ''}"
 
@@ -206,7 +205,7 @@ def _table(
     pictures: Sequence[tuple[int, Sequence[str]]],
     whole_numbers: bool = False,
 ) -> Table:
-    """Return the table; with `whole_numbers` words are folded where it is too wide, and numbers stay whole."""
+    """Return the table; with `whole_numbers` words are folded where it is too wide, but numbers are not."""
     columns = [list(column) for column in zip(header, *rows, strict=True)]
     for before, cells in sorted(pictures, reverse=True):
         columns.insert(before, ["", *cells[: len(rows)]])
@@ -225,7 +224,7 @@ def _table(
 def print_noted(
     console: Console, header: Sequence[str], rows: Sequence[Sequence[str]], notes: Sequence[Sequence[str]]
 ) -> None:
-    """Print a table whose last columns are sentences; where the terminal is narrow they stand below their rows.
+    """Print a table whose last columns are sentences, which are put below their rows on a narrow terminal.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Quantities with their units, exactly: "15 cm^2" is Fraction(3, 2000) m^2. Nothing is ever evaluated as a program.
+"""Read quantities with units exactly: "15 cm^2" is Fraction(3, 2000) m^2. Text is parsed, never evaluated as Python.
 
-The list of units is short on purpose: a general one knows dozens that a typing error in a mechanics case would hit by
-accident, and takes longer to load than a small case takes to solve.
+The list of units is short on purpose. A general one contains dozens that a typing error could hit by accident, and
+takes longer to load than a small case to solve.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 from contactqp.errors import shown
 
-# Powers and products of such numbers stay inside the range of a double.
+# Limits within which powers and products of numbers stay in the range of a double.
 LARGEST_EXPONENT = 100
 LONGEST_TEXT = 500
 DEEPEST_BRACKET = 20
-# Decimals kept of an irrational root: far beyond any number it is compared with.
+# Decimals of an irrational root, far beyond the precision of numbers that it is compared with.
 ROOT_DIGITS = 100
 
 _TOKEN = re.compile(
@@ -31,7 +31,7 @@ _TOKEN = re.compile(
 
 
 class NotANumber(ValueError):
-    """The text is no number in this grammar; the message says what came."""
+    """The text is no number in this grammar."""
 
 
 def split_number(text: str, *, roots: bool = False) -> tuple[Fraction, str]:
@@ -55,7 +55,7 @@ def split_number(text: str, *, roots: bool = False) -> tuple[Fraction, str]:
 
 
 def in_range(value: Fraction, text: str) -> Fraction:
-    """Return the value, refused if it is too large or too small to compute with."""
+    """Return the value; raise NotANumber if it is too large or too small to compute with."""
     if value and not Fraction(10) ** -LARGEST_EXPONENT <= abs(value) <= Fraction(10) ** LARGEST_EXPONENT:
         raise NotANumber(f"{text!r}, which is out of range (1e-{LARGEST_EXPONENT} to 1e{LARGEST_EXPONENT})")
     return value
@@ -135,7 +135,7 @@ class _Reader:
         return value
 
     def not_understood(self) -> str:
-        """Return the text, and from where on it is no number and what is one."""
+        """Return the end of the message: the text, and the place from which it cannot be read as a number."""
         rest = self.text[self.place :].strip()
         if rest.startswith("sqrt") and not self.roots:
             return f"{self.text!r}: no root here, where numbers are exact; write a decimal or a fraction"
@@ -145,7 +145,7 @@ class _Reader:
         return f"{self.text!r}, which is no number from {rest!r} on: numbers are {allowed}"
 
     def take(self, signs: str) -> str:
-        """Read the next sign if it is one of these; otherwise nothing."""
+        """Take the next character if it is one of `signs`, and return it, else ""."""
         match = _TOKEN.match(self.text, self.place)
         if match is None or not match["sign"] or match["sign"] not in signs:
             return ""
@@ -173,7 +173,7 @@ COMMON_UNITS = (
     "in",
     "ft",
 )
-# One name of a unit, with an exponent of one digit, and what stands between it and the name before.
+# The name of a unit with an exponent of one digit, and the sign before it.
 _NAME = re.compile(
     r"(?P<sign>\s*[*/]\s*|\s+)?(?P<name>[^\W\d_][^\W²³⁴]*)(\s*(\^|\*\*)\s*(?P<power>-?\d)|(?P<raised>[²³⁴]))?"
 )
@@ -188,7 +188,7 @@ class Dimension(NamedTuple):
     time: int
 
     def power(self, exponent: int) -> Dimension:
-        """Return the dimension of a quantity of this one to a power."""
+        """Return the dimension raised to a power."""
         return Dimension(*(exponent * power for power in self))
 
     def times(self, other: Dimension) -> Dimension:
@@ -216,7 +216,7 @@ PREFIXES = {
 }
 _INCH, _POUND = Fraction("0.0254"), Fraction("0.45359237")
 _POUND_FORCE = _POUND * Fraction("9.80665")
-# Each in newton, metre and second, by all of its names.
+# The value of each unit in newton, metre and second, by all of its names.
 UNITS = {
     name: (Fraction(value), dimension)
     for names, value, dimension in (
@@ -240,14 +240,14 @@ UNITS = {
     )
     for name in names
 }
-# A name of fewer letters with an s is another unit or a slip: Pas is no pascal.
+# Shorter names have no plural: Pas is not pascal.
 _SHORTEST_PLURAL = 3
 _PLURALS = {"lbs": "lb"}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a number in a scene can be, and how one is written."""
+    """A kind of numbers in a scene: its name, dimensions and an example."""
 
     name: str
     dimension: Dimension
@@ -255,7 +255,7 @@ class Kind:
 
     @property
     def article(self) -> str:
-        """Return its name with an article."""
+        """Return the name of the kind with an article."""
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
 
 
@@ -287,7 +287,7 @@ KINDS = {
 
 
 def per(kind: Kind, other: Kind) -> Kind:
-    """Return what a number of one kind is for a unit of another.
+    """Return the kind of numbers of one kind per unit of another.
 
     >>> per(KINDS["force"], KINDS["length"]).example
     '1 kN/m'
@@ -317,11 +317,11 @@ class UnitSystem:
     force: str
 
     def value(self, quantity: Quantity) -> Fraction:
-        """Return the number that a quantity is in these units, exactly."""
+        """Return the number of a quantity in these units, exactly."""
         return quantity.si / self._factor(quantity.dimension)
 
     def label(self, dimension: Dimension) -> str:
-        """Return how a number of that dimension is written here, as in ``kN/m``."""
+        """Return the unit of numbers of that dimension in this system, such as ``kN/m``."""
         parts = ((self.force, dimension.force), (self.length, dimension.length), ("s", dimension.time))
         above = [_power(unit, power) for unit, power in parts if power > 0]
         below = [_power(unit, -power) for unit, power in parts if power < 0]
@@ -350,7 +350,7 @@ def _power(unit: str, power: int) -> str:
 
 @cache
 def read_unit(text: str) -> tuple[Fraction, Dimension]:
-    """Return the value of one such unit in newton, metre and second, and its dimension.
+    """Return the value of a unit in newton, metre and second, and its dimension.
 
     >>> read_unit("kN/m")
     (Fraction(1000, 1), Dimension(force=1, length=-1, time=0))
@@ -389,8 +389,8 @@ def _single_unit(name: str) -> tuple[Fraction, Dimension]:
 def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
     """Return a regular expression of texts such as ``"15 cm^2"``, for editors that check a case while it is written.
 
-    It knows every unit by name, which single units are of one of these dimensions, and powers of lengths. Of units that
-    are joined, as in ``kN*m``, it does not know the dimension; `read_quantity` does.
+    It checks single units and powers of lengths for these dimensions. In products such as ``kN*m`` it checks only the
+    names; `read_quantity` checks the dimension.
     """
 
     def words(of: Sequence[Dimension] | None) -> str:
@@ -415,7 +415,7 @@ def _are_units(text: str, place: int) -> bool:
 def read_number(value: Any) -> Fraction:
     """Read an exact number without a unit, from a number or a text such as ``"5/7"``.
 
-    A float means the decimal digits it is printed with: 0.1 is 1/10.
+    A float stands for its printed decimal digits: 0.1 is 1/10.
     """
     if isinstance(value, str):
         number, rest = split_number(value)
@@ -438,8 +438,8 @@ def read_quantity(value: Any, kinds: Sequence[Kind], *, roots: bool = False) -> 
     Raises
     ------
     NotANumber
-        No number, no unit, an unknown unit, or a unit of another dimension; the message is a whole sentence part:
-        ``expected ..., got ...``.
+        No number, no unit, an unknown unit, or a unit of another dimension; the message has the form ``expected ...,
+        got ...``.
     """
     try:
         return _quantity(value, kinds, roots)
@@ -470,7 +470,7 @@ def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
 
 
 def describe_dimension(dimension: Dimension) -> str:
-    """Return the dimension in words where there is a word for it."""
+    """Return the dimension as a word, such as "force", or as powers where there is no word."""
     for kind in KINDS.values():
         if kind.dimension == dimension:
             return kind.article
@@ -478,7 +478,7 @@ def describe_dimension(dimension: Dimension) -> str:
 
 
 def describe(value: Any) -> str:
-    """Return what came instead of a number, in the words of a case file."""
+    """Return a description of a value that should have been a number, in the terms of a case file."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):

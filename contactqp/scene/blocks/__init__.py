@@ -1,6 +1,6 @@
-"""The blocks of elements between nodes, and the table of them: the fields of `Frame`.
+"""Collect the blocks of elements between nodes in a table, the fields of `Frame`.
 
-A kind of elements is a subclass of `contactqp.scene.blocks.element.Element`, and a line here.
+Each kind of elements is a subclass of `contactqp.scene.blocks.element.Element` and a field of `Frame`.
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ class Frame(Block):
 
     @cached_property
     def elements(self) -> tuple[tuple[str, Element], ...]:
-        """Return every element between nodes with its key, as in ``bars[1]``, block by block."""
+        """Return all elements between nodes with their keys such as ``bars[1]``, block by block."""
         return tuple((f"{key}[{i}]", element) for key in BLOCKS for i, element in enumerate(getattr(self, key)))
 
     def element(self, noun: str, name: str) -> Element:
-        """Return the element of a name, of the kind that claims call so."""
+        """Return the element of a kind, such as "bar", and a name."""
         return next(element for _, element in self.elements if (element.noun, element.name) == (noun, name))
 
     def value(self, quantity: Quantity) -> Fraction:
@@ -110,7 +110,7 @@ class Frame(Block):
 
 
 def _kind(annotation: Any) -> type[Element] | None:
-    """Return the kind of elements that a list of a case file has, and None for other keys."""
+    """Return the class of elements in a list of a case file, None for other keys."""
     inner = next(iter(get_args(annotation)), None)
     return inner if isinstance(inner, type) and issubclass(inner, Element) else None
 
@@ -122,5 +122,5 @@ BLOCKS: dict[str, type[Element]] = {
 
 
 def element_quantities() -> dict[str, Measure]:
-    """Return what claims can ask of elements, by its names, block by block."""
+    """Return the quantities of elements that claims can ask for, by name, block by block."""
     return {name: measure for kind in BLOCKS.values() for name, measure in kind.quantities.items()}

@@ -34,7 +34,7 @@ from contactqp.scene.units import Quantity
 
 
 def _bar_force(bar: Bar, answer: NodeAnswer) -> float:
-    """Return the axial force, at large displacements that of the displaced bar."""
+    """Return the axial force, at large displacements that of the deformed bar."""
     scene = answer.scene
     if scene.large:
         return answer.bar_force_now(bar.name)
@@ -48,8 +48,8 @@ class Bar(Element):
     """An axial bar between two nodes, in one, two or three dimensions.
 
     In one dimension, or at large deformations, it may have `divisions`, elements of equal length; the nodes inside are
-    ``bar 1``, ``bar 2``. With a `density` it weighs, and has inertia in a motion. Its `law` at large deformations is
-    linear in Green's strain if nothing else is stated.
+    ``bar 1``, ``bar 2``. With a `density` it has weight, and inertia in a motion. Its default `law` at large
+    deformations is linear in Green's strain.
     """
 
     title: ClassVar[str] = "axial bars"
@@ -71,7 +71,7 @@ class Bar(Element):
 
     @property
     def chain(self) -> tuple[Name, ...]:
-        """Return its nodes from end to end."""
+        """Return the nodes of the bar from end to end."""
         return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
 
     @property
@@ -101,7 +101,7 @@ class Bar(Element):
                 yield scene.displacements(*ends), bar_mass(density, area, start, end, lumped)
 
     def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:
-        """Yield half of each division at each of its ends, which is M g of either mass matrix."""
+        """Yield half the mass of each division at each of its ends, as for both mass matrices."""
         if self.density is None:
             return
         per_length = scene.value(self.density) * scene.value(self.area)
@@ -144,7 +144,7 @@ class Bar(Element):
             raise SceneError(f'{where}.density ({self.name!r}): expected in a motion, as in "7850 kg/m^3", and missing')
 
     def check_claim(self, where: str) -> None:
-        """Raise SceneError with divisions, each of which has a force of its own."""
+        """Raise SceneError for a bar with divisions, as each of them has its own force."""
         if self.divisions > 1:
             raise SceneError(f"{where}: expected a bar in one piece, got {self.name!r}, each part of which has its own")
 
@@ -174,7 +174,7 @@ class Spring(Element):
     direction: fields.Vector | None = None
 
     def along(self, scene: NodeScene) -> Numbers:
-        """Return its direction, of any length: as stated, from node to node, or along the scene's only axis."""
+        """Return the direction of the spring, not normalised: as stated, from node to node, or along the only axis."""
         if self.direction is not None:
             return np.array(self.direction)
         if len(self.nodes) == 1:

@@ -20,7 +20,7 @@ from contactqp.scene import fields
 from contactqp.scene.blocks.element import ROTATION, Element, Line, NamedMatrix, NodeScene, refuse_zero_length
 from contactqp.scene.fields import Block, Name, TwoNames
 
-# Points along a beam that is drawn: its cubic looks smooth.
+# Points along a drawn beam, enough for its cubic to look smooth.
 POINTS = 25
 
 
@@ -71,7 +71,7 @@ class Beam(Element):
 class String(Element):
     """A string under a constant tension, through nodes on a straight line; it resists deflections across that line.
 
-    Along the line it resists nothing: there its nodes are fixed, or held by something else.
+    It has no stiffness along the line, where its nodes must be fixed or held by other elements.
     """
 
     title: ClassVar[str] = "strings under constant tension"
@@ -103,7 +103,7 @@ class String(Element):
     def check(self, scene: NodeScene, where: str) -> None:
         """Raise SceneError unless its nodes are on a straight line.
 
-        A tension that turns at a node would push it aside with no load at all.
+        A tension that changes direction at a node would load it.
         """
         where = f"{where}.nodes ({self.name!r})"
         for ends in self.segments:
@@ -120,7 +120,7 @@ class String(Element):
 class LineLoad(Block):
     """A constant force per length on a string or a beam, along the axes.
 
-    On a beam it is the consistent load of forces and moments, with which its ends are exact.
+    On a beam it gives consistent forces and moments, for which nodal displacements are exact.
     """
 
     name: Name
@@ -136,7 +136,7 @@ class LineLoad(Block):
         return self
 
     def forces(self, scene: NodeScene, loaded: String | Beam) -> Iterator[tuple[str, Number]]:
-        """Yield the forces and moments at the nodes of the string or beam that it names, by their unknowns."""
+        """Yield the nodal forces and moments on a string or beam, each with the name of its unknown."""
         per_length = np.array([scene.value(component) for component in self.value])
         if isinstance(loaded, Beam):
             yield from zip(loaded.unknowns(scene), beam_load(per_length, *map(scene.point, loaded.nodes)), strict=True)

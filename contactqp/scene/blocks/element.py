@@ -1,7 +1,7 @@
-"""What an element between nodes is in a case file: its keys, and what a scene, a claim and a picture ask of it.
+"""Define the base class of elements between nodes in case files: keys, matrices, quantities and drawing.
 
-A kind of elements is one file: a subclass of `Element` whose fields are the keys of an entry. Its stiffness is all that
-it has to give; the rest has a default for elements that have no mass, no rotations and no quantity of their own.
+A kind of elements is a subclass of `Element` in a file of its own, whose fields are the keys of an entry. It must
+define its stiffness; the other methods have defaults for elements without mass, rotations and quantities.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from contactqp.scene.fields import Block, Name
 from contactqp.scene.units import Quantity
 
 ROTATION = "theta"
-# A matrix on unknowns, by their names.
+# A matrix with the names of its unknowns.
 NamedMatrix = tuple[Sequence[str], Numbers]
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One row of the vocabulary of ``quantity``."""
+    """A quantity that claims can ask for, and what the claim must or may state."""
 
     meaning: str
     kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
@@ -77,7 +77,7 @@ class NodeScene(Protocol):
 
 
 class NodeAnswer(Protocol):
-    """What a quantity of an element is read off; numbers are floats, in the scene's units."""
+    """The part of an answer that quantities of elements are evaluated from; floats in the scene's units."""
 
     @property
     def scene(self) -> NodeScene:
@@ -109,7 +109,7 @@ class Line:
 
 
 class Element(Block):
-    """An entry of a block of elements between nodes; a subclass states its keys and gives its stiffness.
+    """An entry of a block of elements between nodes; a subclass defines its keys and its stiffness.
 
     Attributes
     ----------
@@ -118,13 +118,14 @@ class Element(Block):
     noun : str
         What one of them is called, as in "bar": in messages, in a picture's legend, and where `at` of a claim names it.
     beside_bodies : str
-        Why there are none in a scene of elastic bodies; by default that they are not offered together yet.
+        Why a scene of elastic bodies cannot contain them; by default that the combination is not offered.
     vectors : tuple of str
         The keys that have a component for each axis.
     large, inertial : bool
         Whether they have a form at large displacements, and whether they can have mass.
     semidefinite : bool
-        Whether its stiffness is positive semidefinite whatever its numbers are; what is not is proven where it matters.
+        Whether the stiffness is positive semidefinite for all admissible numbers; otherwise this is checked when
+        needed.
     quantities : mapping of str to Measure
         What claims can ask of one of them, each with its `read`.
     """
@@ -149,12 +150,12 @@ class Element(Block):
         yield from ()
 
     def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:  # noqa: ARG002
-        """Yield nodes and the masses that gravity pulls at there; none without mass."""
+        """Yield nodes and the masses that gravity acts on there, none without mass."""
         yield from ()
 
     @property
     def has_mass(self) -> bool:
-        """Return whether this one has mass."""
+        """Return whether this element has mass."""
         return False
 
     @property
@@ -164,7 +165,7 @@ class Element(Block):
 
     @property
     def turning(self) -> tuple[Name, ...]:
-        """Return the nodes that it gives a rotation to."""
+        """Return the nodes at which the element has a rotation as unknown."""
         return ()
 
     def named_nodes(self) -> Iterator[tuple[str, Name]]:
@@ -176,17 +177,17 @@ class Element(Block):
         self,
         at: Mapping[str, Sequence[Quantity]],  # noqa: ARG002
     ) -> Iterator[tuple[str, tuple[Fraction, ...]]]:
-        """Yield the nodes that it makes itself and where they stand [m], from where the stated nodes are."""
+        """Yield the nodes that the element adds, with their positions [m], from those of the stated nodes."""
         yield from ()
 
     def check_axes(self, scene: NodeScene, where: str) -> None:
         """Raise SceneError where the scene has too many axes for it, or too few; `where` is as in ``bars[1]``."""
 
     def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
-        """Raise SceneError where it needs other nodes than the scene states; before any of them is looked up."""
+        """Raise SceneError where the scene lacks a node of the element; called before positions are looked up."""
 
     def check(self, scene: NodeScene, where: str) -> None:
-        """Raise SceneError where its numbers do not fit the scene's nodes, which are there."""
+        """Raise SceneError where the numbers of the element do not fit the scene's nodes, which exist."""
 
     def check_motion(self, where: str) -> None:
         """Raise SceneError where it cannot be in a scene that moves."""
@@ -195,7 +196,7 @@ class Element(Block):
         """Raise SceneError where a claim at it has no answer; `where` is as in ``expect[1].at``."""
 
     def drawn(self, scene: NodeScene, displacement: Mapping[str, float]) -> Line | None:
-        """Return what is drawn of it: by default a straight line through its nodes, and None without any.
+        """Return the line that is drawn, by default straight through the nodes, None without nodes.
 
         `displacement` has every unknown of the scene by its name.
         """
@@ -206,7 +207,7 @@ class Element(Block):
 
 
 def refuse_zero_length(scene: NodeScene, nodes: Sequence[str], where: str) -> None:
-    """Raise SceneError unless two nodes are two, and apart from each other."""
+    """Raise SceneError for an element between a node and itself, or between coincident nodes."""
     first, second = nodes
     if first == second:
         raise SceneError(f"{where}: expected two different nodes, got {first!r} twice")

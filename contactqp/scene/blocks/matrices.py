@@ -51,7 +51,7 @@ class StiffnessMatrix(Element):
 
 
 class PointMass(Element):
-    """A mass at a node: it weighs `mass` times the scene's gravity, and has inertia in a motion."""
+    """A mass at a node, with the weight `mass` times the scene's gravity, and inertia in a motion."""
 
     title: ClassVar[str] = "point masses"
     noun: ClassVar[str] = "point mass"

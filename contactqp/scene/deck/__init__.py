@@ -1,1 +1,1 @@
-"""Decks of Abaqus and CalculiX as bodies, loads and contacts: what they state becomes a contact problem."""
+"""Turn input decks of Abaqus and CalculiX into bodies, loads, contact pairs and a contact problem."""

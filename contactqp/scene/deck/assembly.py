@@ -23,7 +23,7 @@ from contactqp.scene.deck.groups import Group, Topology
 
 @dataclass(frozen=True, eq=False)
 class DeckAssembly:
-    """The linear system of a deck without its contacts.
+    """The linear system of a deck, without contacts.
 
     Parameters
     ----------
@@ -61,10 +61,10 @@ class DeckAssembly:
         return self.topology.expanded and group.model == "plane-stress"
 
     def _of_thickness(self, group: Group, body: Body) -> Any:
-        """Return what the unknown changes of thickness bring to K, CSC.
+        """Return the part of K that the unknown changes of thickness contribute, CSC.
 
-        CalculiX makes plane stress of elements in space, displaced by (u_x, u_y, w z / t): with the strains
-        eps_z = w / t, gamma_xz = z / t dw/dx and gamma_yz likewise the energy of plane strain has besides
+        CalculiX models plane stress by solid elements displaced by (u_x, u_y, w z / t). With the strains eps_z = w / t,
+        gamma_xz = z / t dw/dx and gamma_yz likewise, their energy is that of plane strain plus
 
             integral of  lambda div(u) w  +  (lambda + 2 mu) w^2 / (2 t)  +  mu t |grad w|^2 / 24  over the plane.
         """
@@ -85,7 +85,7 @@ class DeckAssembly:
         return sp.csc_array(sp.coo_array((data, (rows, columns)), shape=(self.topology.size,) * 2))
 
     def with_thicknesses(self, displacement: Vector) -> Vector:
-        """Return u of all unknowns from the displacements of all nodes: thicknesses are in balance with them."""
+        """Return u of all unknowns from the displacements of all nodes, with the thicknesses in equilibrium."""
         w = self.topology.thicknesses
         u = np.concatenate([displacement, np.zeros(len(w))])
         if len(w):
@@ -145,7 +145,7 @@ class DeckAssembly:
         try:
             found = self.topology.facets(faces, "")
         except InvalidProblem:
-            for one in pressures:  # by one of them, whose line the message is to name
+            for one in pressures:  # one call per line, so that messages can name it
                 self.topology.facets(one.faces, one.place)
             raise
         for group, local, elements, entries in found:
@@ -154,7 +154,7 @@ class DeckAssembly:
             self._add(total, group, facets, _Pressing(value[entries]))
 
     def _within(self, group: Group) -> Index:
-        """Return the nodes of a group's elements as its own body counts them."""
+        """Return the nodes of a group's elements in the numbering of its body."""
         _, inverse = np.unique(group.nodes, return_inverse=True)
         return np.asarray(inverse.reshape(group.nodes.shape), dtype=np.int64)
 
@@ -188,7 +188,9 @@ class DeckAssembly:
 
     @cached_property
     def prescribed(self) -> Vector:
-        """Return the prescribed displacements, NaN at free unknowns [length]; of two, the last one counts."""
+        """Return the prescribed displacements, NaN at free unknowns [length]; the last of several for one unknown
+        holds.
+        """
         values = np.full(self.topology.size, np.nan)
         ledger = self.topology.model.ledger
         for support in self.topology.model.loading.supports:
@@ -202,7 +204,7 @@ class DeckAssembly:
 
     @cached_property
     def equations(self) -> Any:
-        """Return the rows of *EQUATION over all unknowns, (k, n) CSR; each is to be zero."""
+        """Return the rows of *EQUATION over all unknowns, (k, n) CSR, whose products with u must vanish."""
         found = [self._row(equation) for equation in self.topology.model.equations]
         return sp.csr_array(sp.vstack([sp.csr_array((0, self.topology.size)), *found], format="csr"))
 
@@ -240,7 +242,7 @@ def _pairs(nodes: Index) -> tuple[Index, Index]:
 
 @dataclass(frozen=True, eq=False)
 class _Pressing:
-    """Pressures on facets, (p,), per area of the reference facet."""
+    """The integrand of pressures on facets (p,), per area of the reference facet."""
 
     value: Vector
 
@@ -250,7 +252,7 @@ class _Pressing:
 
 @dataclass(frozen=True, eq=False)
 class _Weighing:
-    """A force per volume, per volume of the reference element."""
+    """The integrand of a body force, per volume of the reference element."""
 
     force: Array
 

@@ -33,9 +33,9 @@ from contactqp.scene.deck.groups import Topology
 Points = Array
 Discretisation = Literal["node-to-segment", "mortar", "points"]
 NONE: Index = np.zeros(0, dtype=np.int64)
-# Where a tie states no tolerance: this part of the mean size of the master's faces, as CalculiX takes it.
+# The default tolerance of a tie relative to the mean size of the master's faces, as in CalculiX.
 TIED = 0.025
-# Interference is stated on purpose in a deck: deeper than the faces are wide is a mistake all the same.
+# Decks may state an interference fit, but an overlap of more than a face is taken for a mistake.
 DEEPEST = 1.0
 
 
@@ -47,7 +47,7 @@ class DeckContact:
     ----------
     pair : ContactPair
     interaction : Interaction
-    slave, master : their unknowns are those of the deck, held ones included
+    slave, master : Surface, over all unknowns of the deck, supported ones included
     pairing : rows over these unknowns
     labels : (m,) array of int, the slave node of each contact, by its label
     discretisation : str, ``"node-to-segment"``, ``"mortar"`` or ``"points"``
@@ -69,7 +69,7 @@ class Surfaces:
     topology: Topology
 
     def surface(self, name: str, points: Points, place: str) -> Surface:
-        """Return a surface with its faces, those of a list of nodes included.
+        """Return a surface with its faces, also where the deck states a list of nodes.
 
         Raises
         ------
@@ -181,7 +181,7 @@ def _only(partners: Partners, keep: Mask) -> Partners:
 
 
 def _move(points: Points, nodes: Index, partners: Partners, master: Surface) -> Vector:
-    """Move nodes onto the feet of their perpendiculars, in place, and return how far."""
+    """Move nodes onto their projections on the master surface, in place, and return the distances."""
     shape = kind_of(master).shape(partners.xi)
     feet = np.einsum("qk,qkd->qd", shape, master.points[master.facets[partners.facet]])
     moved = np.asarray(np.linalg.norm(points[nodes] - feet, axis=1))
@@ -196,7 +196,7 @@ def _note_moved(surfaces: Surfaces, place: str, what: str, moved: Vector) -> Non
 
 
 def _tied(surfaces: Surfaces, tie: DeckTie, points: Points) -> tuple[Index, Partners, Surface]:
-    """Return the slave nodes of a tie that are near enough, where they meet the master surface, and that surface."""
+    """Return the slave nodes of a tie within its tolerance, their projections on the master surface, and the latter."""
     master = surfaces.surface(tie.master, points, tie.place)
     nodes = np.setdiff1d(surfaces.nodes(surfaces.topology.model.surfaces[tie.slave]), master.nodes)
     centres = master.points[master.facets].mean(axis=1)
@@ -276,7 +276,7 @@ def _contact(surfaces: Surfaces, pair: ContactPair, points: Points, discretisati
 def _pair_points(slave: Surface, master: Surface, dimension: int) -> Pairing:
     """Pair the Gauss points of the slave's faces, two along each direction, with the nearest points of the master.
 
-    It is what springs at integration points tend to as they get stiff. Each contact has the node nearest to it.
+    This is the limit of stiff springs at integration points. Each contact is named after its nearest node.
     """
     kind, other = kind_of(slave), kind_of(master)
     xi, weight = kind.quadrature(2)
@@ -317,7 +317,7 @@ def note(lines: list[str], line: str) -> None:
 
 
 def contact_names(contacts: Sequence[DeckContact]) -> list[str]:
-    """Return ``node 17`` for each contact; with the pair where a node has several."""
+    """Return the name ``node 17`` for each contact, with the pair added where a node has several."""
     if any(one.discretisation == "points" for one in contacts):
         return [f"point {i} of {one.pair.name}" for one in contacts for i in range(len(one.labels))]
     every = np.concatenate([NONE, *(one.labels for one in contacts)])

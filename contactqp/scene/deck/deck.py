@@ -35,7 +35,7 @@ from contactqp.scene.deck.groups import topology_of
 from contactqp.solving.solve import solve
 
 Enforcement = Literal["exact", "penalty"]
-# What CalculiX makes of HARD: springs of this many times Young's modulus, per length of the deck's unit.
+# CalculiX replaces HARD by springs of this many times Young's modulus, per unit of length of the deck.
 HARD_IS = 50.0
 
 
@@ -76,17 +76,17 @@ class Deck:
 
     @cached_property
     def by_nodes(self) -> DeckContacts:
-        """Return the contact pairs node to segment: no slave node overlaps."""
+        """Return the contact pairs node to segment, which forbid overlap at slave nodes."""
         return self._contacts("node-to-segment")
 
     @cached_property
     def by_mortar(self) -> DeckContacts:
-        """Return the contact pairs as a mortar, where their faces are linear: no overlap on the average."""
+        """Return the contact pairs as a mortar where their faces are linear, which forbids overlap on average."""
         return self._contacts("mortar")
 
     @cached_property
     def by_points(self) -> DeckContacts:
-        """Return the contact pairs at the Gauss points of the slaves' faces: none of them overlaps."""
+        """Return the contact pairs at the Gauss points of the slaves' faces, which forbid overlap there."""
         return self._contacts("points")
 
     def _contacts(self, discretisation: Discretisation) -> DeckContacts:
@@ -166,9 +166,9 @@ class Deck:
         return contacts
 
     def _slipped(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
-        """Return E_T u of all pairs after the steps before the last, less what springs along the surface have taken.
+        """Return E_T u of all pairs at the start of the last step, less the elongation of tangential springs [length].
 
-        None where there is one step, or no friction; step by step otherwise, each with its problem solved [length].
+        The earlier steps are solved one after another. None with a single step or without friction.
         """
         if self.contacts(discretisation).free.tangent is None:
             return None
@@ -213,7 +213,7 @@ class Deck:
 
     @cached_property
     def _load_size(self) -> Vector:
-        """Return the sizes of what adds up to the load: prescribed displacements leave rounding [force]."""
+        """Return the sum of absolute values of the terms of the load, for estimates of its rounding [force]."""
         assembly = self.assembly
         return np.asarray((abs(assembly.load) + abs(assembly.stiffness) @ abs(self._given))[self.free])
 
@@ -228,7 +228,9 @@ class Deck:
         return sp.csr_array(sp.vstack([self.assembly.equations, rows], format="csr"))
 
     def _on_springs(self, exact: ContactProblem, contacts: DeckContacts) -> ContactProblem:
-        """Return the problem with a spring behind each contact, and along it where the deck has a stick slope."""
+        """Return the penalty problem, with a normal spring at each contact and tangential ones where the deck has a
+        stick slope.
+        """
         if not exact.contacts:
             return exact
         m, names = exact.contacts, exact.contact_names or ()
@@ -259,7 +261,7 @@ class Deck:
         )
 
     def _springs(self, contacts: DeckContacts, repeat: int) -> tuple[Vector, Vector]:
-        """Return the stiffness of the springs behind the contacts and along them [force / length]; NaN for none."""
+        """Return the stiffness of the normal and the tangential springs [force / length], NaN for none."""
         behind, along = [], []
         for contact in contacts.pairs:
             area = contact.pairing.area
@@ -295,7 +297,7 @@ class DeckContacts:
 
     @cached_property
     def free(self) -> FreeContacts:
-        """Return the contacts over the free unknowns; those that none of them moves are left out."""
+        """Return the contacts over the free unknowns, without those that no free unknown moves."""
         has_friction = any(one.interaction.friction > 0 for one in self.pairs)
         friction = [np.full(len(one.labels), one.interaction.friction) for one in self.pairs]
         return free_contacts(
@@ -312,12 +314,12 @@ class DeckContacts:
 
     @property
     def tangent_rows(self) -> Index:
-        """Return the places of the tangential rows of the contacts of the problem among those of all pairs."""
+        """Return the indices of the problem's tangential rows among those of all pairs."""
         along = self.tangent.shape[0] // max(sum(len(one.labels) for one in self.pairs), 1)
         return np.asarray((self.free.kept[:, None] * along + np.arange(along)).ravel())
 
     def of_pair(self, number: int) -> tuple[Index, Index]:
-        """Return the contacts of the problem that belong to a pair, and their places among the contacts of the pair."""
+        """Return the indices of a pair's contacts in the problem, and their indices within the pair."""
         ends = np.cumsum([0, *(len(one.labels) for one in self.pairs)])
         kept = self.free.kept
         mine = np.flatnonzero((kept >= ends[number]) & (kept < ends[number + 1]))
@@ -332,7 +334,7 @@ def read_deck(path: Path) -> Deck:
     The problem is that at the end of the last step. Where there is friction, each step before is solved as one
     increment, and slip starts from where it ends.
 
-    Every keyword and parameter is honoured, refused by its line, or stands in `deck.ledger` as without effect. Lengths
+    Every keyword and parameter is applied, refused with its line, or listed in `deck.ledger` as without effect. Lengths
     and forces stay in the units of the deck. Elements: C3D4, C3D8, C3D10, C3D20, C3D20R, CPE, CPS and CAX with 3, 4, 6
     and 8 nodes and 8R, T3D2, T2D2, SPRINGA.
 
@@ -349,8 +351,8 @@ def read_deck(path: Path) -> Deck:
     Raises
     ------
     InvalidProblem
-        A file that is none, a keyword or a parameter that is not known or not offered, numbers that do not fit: file,
-        line and keyword, what was expected and what came.
+        The file is no deck, a keyword or parameter is unknown or not offered, or numbers do not fit; the message names
+        file, line and keyword.
     """
     return Deck(read_deck_model(path))
 

@@ -1,4 +1,4 @@
-"""The elements of a deck by kind and section, the unknowns of their nodes, and the faces of their elements."""
+"""Group the elements of a deck by kind and section, and number the unknowns of their nodes and their faces."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import AXES, DeckMaterial, DeckModel, Elements, Faces, Section
 from contactqp.model.arrays import Array, Index
 
-# Both programs integrate the quadratic tetrahedron with four points: eight differ where its edges are curved.
+# Both programs integrate the quadratic tetrahedron with four points; other rules differ on curved edges.
 _TETRAHEDRON = replace(REFERENCES["tet10"], rule=tetrahedron(4))
 _REDUCED = {
     "hex20": replace(REFERENCES["hex20"], rule=gauss(2, 3)),
@@ -31,7 +31,7 @@ _MODELS: dict[str, Model] = {
     "CPS": "plane-stress",
     "CAX": "axisymmetric",
 }
-# Where CalculiX, which turns plane elements into ones in space, computes something else than is computed here.
+# Notes where CalculiX, which replaces plane elements by solid ones, differs from the computation here.
 _DIFFERS = {
     "CPS": "no stress across the plane at any point; CalculiX leaves the thickness at each node free, which is stiffer",
     "CAX": "of the full circle; CalculiX takes a wedge of 2 degrees with plane sides, which differs by some 1e-4",
@@ -67,7 +67,7 @@ class Group:
     section: Section
 
     def body(self, points: Array, labels: Index) -> tuple[Body, Index]:
-        """Return the elements as a body, and the nodes of the deck that its nodes are.
+        """Return the elements as a body, and the index in the deck of each of its nodes.
 
         Raises
         ------
@@ -111,12 +111,12 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """What hangs together in a deck, whatever the coordinates.
+    """The nodes, elements and unknowns of a deck, independent of coordinates.
 
     Attributes
     ----------
     model : DeckModel
-    active : (N,) array of int, the nodes with unknowns, as places in `model.labels`: those of elements and of equations
+    active : (N,) array of int, the nodes with unknowns, those of elements and equations, as indices of `model.labels`
     groups : sequence of Group
     links : sequence of (Elements, sizes), trusses and springs with the area or the stiffness of each
     expanded : whether elements of plane stress are those of CalculiX, with unknown thicknesses behind all displacements
@@ -140,7 +140,7 @@ class Topology:
 
     @cached_property
     def _thick(self) -> Array:
-        """Return node and thickness for each unknown thickness, (w, 2): sections of other thicknesses have others."""
+        """Return node and thickness of each unknown change of thickness, (w, 2), one for each thickness at a node."""
         plane = [group for group in self.groups if self.expanded and group.model == "plane-stress"]
         every = [
             np.column_stack([nodes, np.full(len(nodes), group.thickness)])
@@ -151,11 +151,11 @@ class Topology:
 
     @property
     def thicknesses(self) -> Index:
-        """Return the places in u of the unknown changes of thickness."""
+        """Return the indices in u of the changes of thickness."""
         return np.arange(self.unknowns.size, self.size)
 
     def thicknesses_of(self, group: Group) -> Index:
-        """Return the place in u of the change of thickness at each node of the elements of a group, (E, n)."""
+        """Return the index in u of the change of thickness at each node of a group's elements, (E, n)."""
         mine = np.flatnonzero(self._thick[:, 1] == group.thickness)
         found = mine[np.searchsorted(self._thick[mine, 0], group.nodes)]
         return np.asarray(self.unknowns.size + found)
@@ -167,7 +167,7 @@ class Topology:
 
     @cached_property
     def unknowns(self) -> Index:
-        """Return the place in u of the displacement of each node along each axis, (N, d)."""
+        """Return the index in u of the displacement of each node along each axis, (N, d)."""
         return np.arange(len(self.active) * self.dimension).reshape(-1, self.dimension)
 
     @property
@@ -209,14 +209,13 @@ class Topology:
             raise InvalidProblem(f"{place}: there is no element {missing[0]}")
 
     def facets(self, faces: Faces, place: str) -> list[tuple[Group, int, Index, Index]]:
-        """Return faces of solid elements: group, kind of facet as its place in the element, elements, entries.
+        """Return faces of solid elements by group and kind: (group, facet number, elements of the group, entries of
+        `faces`).
 
-        The elements are places in the group, the entries are places in `faces`.
-
-        Raises
-        ------
-        InvalidProblem
-            An element that is not there or is no solid, a face that it has not.
+                Raises
+                ------
+                InvalidProblem
+                    An element does not exist, is no solid, or lacks this face.
         """
         self.check_elements(faces.elements, place)
         found = []
@@ -242,8 +241,8 @@ class Topology:
 def topology_of(model: DeckModel, *, expanded: bool = False) -> Topology:
     """Return the groups of a deck's elements and the nodes that have unknowns; plane stress `expanded` as in Topology.
 
-    Raises InvalidProblem: elements without a section or with two, of materials that are not there or not elastic, at
-    nodes that are not there; axisymmetric elements beside others.
+    Raises InvalidProblem: elements without a section or with two, undefined or inelastic materials, undefined nodes, or
+    axisymmetric elements beside others.
     """
     used = [group.nodes.ravel() for group in model.elements] + [one.nodes for one in model.equations]
     wanted = np.unique(np.concatenate(used))
@@ -287,7 +286,7 @@ def _of_missing_node(model: DeckModel, label: int) -> str:
 
 
 class _Sections:
-    """The sections of a deck: which element has which."""
+    """The section of each element of a deck."""
 
     def __init__(self, model: DeckModel) -> None:
         self.model = model
@@ -365,5 +364,5 @@ def _kind(type_: str) -> Reference:
     if kind.name == "tet10":
         return _TETRAHEDRON
     kind = _REDUCED[kind.name] if reduced else kind
-    # Of bodies of revolution both programs integrate with the points of the plane element, whatever the radius does.
+    # Both programs integrate axisymmetric elements with the points of the plane element.
     return replace(kind, fine_rule=kind.rule) if type_.startswith("CAX") else kind

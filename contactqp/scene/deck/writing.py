@@ -1,6 +1,6 @@
-"""Write a scene of elastic bodies as a deck that CalculiX runs, so that a case can be put to another code.
+"""Write a scene of elastic bodies as a CalculiX deck, so that another code can solve the case.
 
-A plane that a side may touch becomes a plate of one element, whose nodes are all held.
+A rigid plane becomes a plate of one element with all nodes fixed.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from contactqp.scene.scene import Scene
 _PREFIX = {"3d": "C3D", "plane-strain": "CPE", "plane-stress": "CPS", "axisymmetric": "CAX"}
 # A sign, 13 digits and an exponent of four are 20 characters, which is what CalculiX reads of a number.
 DIGITS = 12
-# The springs behind contact yield this part of what a layer of the slave as thick as its facets yields: on stiffer ones
-# between faces CalculiX 2.20 ends with some of them in tension.
+# The compliance of the contact springs relative to that of a layer of the slave as thick as its facets. With stiffer
+# springs between faces CalculiX 2.20 ends with some in tension.
 YIELDING_NODES, YIELDING_FACES = 1e-4, 1e-2
-# A plate in the place of a plane reaches further than the body beside it, by this part of its size.
+# The plate that replaces a plane extends beyond the body by this part of the body's size.
 WIDER = 0.5
 WORDS_A_LINE = 12
 
@@ -38,12 +38,12 @@ WORDS_A_LINE = 12
 def write_deck(scene: Scene, folder: Path) -> str:
     """Write a scene of elastic bodies as a deck of CalculiX, and return the path of the file.
 
-    Loads are written as nodal forces, supports with what they prescribe, contact of two sides as *CONTACT PAIR of
-    nodes, on springs that yield a ten-thousandth of what the elements beside them do, or of faces for a mortar, on
-    springs that yield a hundredth: CalculiX does not come to an end on stiffer ones.
+    Loads are written as nodal forces, supports with their prescribed values, and contact of two sides as *CONTACT PAIR:
+    node to surface, or surface to surface for a mortar. The springs have 1e-4, or 1e-2 for surfaces, of the compliance
+    of the adjacent elements; CalculiX does not converge with stiffer ones.
 
-    Raises Unsupported: a scene of nodes and bars, membranes, round obstacles, elements that CalculiX has not, a motion
-    or a load path, ties; InvalidProblem: the folder cannot be made or written to.
+    Raises Unsupported: nodes and bars, membranes, round obstacles, elements that CalculiX lacks, a motion, a load path
+    or ties; InvalidProblem: the folder cannot be created or written to.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _lines(scene: Scene, model: BodyModel) -> Iterator[str]:
         yield from _body(number, body, _first_node(model, body.name), count)
         count += body.mesh.elements
     node = model.structure.size // len(model.structure.bodies[0].axes)
-    # All pairs of a deck are of one kind in CalculiX.
+    # CalculiX allows one type of contact pair in a deck.
     nodes = all(contact.obstacle is not None or contact.pairing != "mortar" for contact in scene.contacts)
     for number, contact in enumerate(scene.contacts):
         sides = [_side(model, *end, elements) for end in sides_of(contact)]
@@ -134,7 +134,7 @@ def _type(body: Body, kind: Reference) -> str:
     return f"{_PREFIX[body.model]}{nodes}"
 
 
-# A face of an element: its label, and the number of the face, from 1 on.
+# A face of an element: the element's label and the number of the face from 1.
 _Face = tuple[int, int]
 
 
@@ -187,7 +187,7 @@ class _Plate:
         self.face = 3 if d == 2 else 2
 
     def lines(self, name: str, node: int, element: int) -> Iterator[str]:
-        """Yield nodes, the element and its supports; labels go on from those that are given."""
+        """Yield the lines of nodes, element and supports; labels continue from `node` and `element`."""
         body, count = self.body, len(self.points)
         yield f"*NODE, NSET={name}"
         for i, point in enumerate(self.points):
