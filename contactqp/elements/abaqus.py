@@ -1,8 +1,8 @@
 """Meshes from Abaqus and CalculiX input files, and from the cells of other programs.
 
-An input file is read by its keywords NODE, ELEMENT, NSET, ELSET and SURFACE; all others are passed over. Its cells, and
-those of any other file, become a Mesh: which are elements, which are sides, and which belong to one part. Keywords and
-formats: Abaqus keywords reference guide; face numbers S1, S2, ...: Abaqus elements guide.
+Of an input file the keywords NODE, ELEMENT, NSET, ELSET and SURFACE are read, and all others are ignored. The cells of
+a file become the elements and sides of a Mesh. Keywords and formats: Abaqus keywords reference guide; face numbers S1,
+S2, ...: Abaqus elements guide.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from contactqp.elements.reference_elements import KINDS, REFERENCES, Block
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index
 
-LARGEST_LABEL = 2**53  # whole numbers beyond are no floats
+LARGEST_LABEL = 2**53  # larger integers are not floats
 MOST_GENERATED = 10**7
-# Families of element names, and what the number of nodes behind them says. H, I, M, R and the like are formulations.
+# Families of element names, and the kind for each number of nodes behind them. Suffixes H, I, M, R are formulations.
 _TYPES = (
     (r"(?:CPS|CPE|CPEG|CAX)(\d+)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
     (r"C3D(\d+)", {"4": "tet4", "8": "hex8", "10": "tet10", "20": "hex20", "27": "hex27"}),
     (r"(?:S|M3D|SFM3D|R3D)(\d)", {"3": "tri3", "4": "quad4", "6": "tri6", "8": "quad8"}),
     (r"(?:T2D|T3D|B2|B3|R2D)(\d)", {"1": "line2", "2": "line2", "3": "line3"}),
 )
-# Abaqus' faces S1, S2, ... as places in Reference.facets; triangles, quadrilaterals and tetrahedra count as we do.
+# Abaqus' faces S1, S2, ... as indices of Reference.facets; other kinds are numbered in the same order.
 HEX_FACES = (4, 5, 2, 1, 3, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """A mesh as programs write it: cells of all dimensions, and named groups of them.
+    """A mesh in the form of other programs: cells of all dimensions, and named groups of them.
 
     Attributes
     ----------
@@ -57,13 +57,13 @@ def mesh_from_cells(source: Cells, *, part: str | None = None, drop_unconnected:
     which is left out.
 
     Raises InvalidProblem: no elements, an unknown part, plane elements out of plane, a side that is on the boundary
-    only in part, a mesh that is no good.
+    only in part, an invalid mesh.
 
     Parameters
     ----------
     source : Cells
     part : str, optional
-        A group of elements that makes up the body. What belongs to other parts only is left out.
+        The group of elements that forms the body; cells and nodes of other parts are left out.
     drop_unconnected : bool
         Leave nodes out that no element uses (such as the centres of arcs that Gmsh writes) instead of refusing them.
     """
@@ -113,9 +113,7 @@ def _imported_elements(source: Cells, dimension: int, part: str | None) -> dict[
 
 
 def _side(mesh: Mesh, name: str, cells: Sequence[tuple[str, Index]], *, whole: bool) -> Index:
-    """Return the boundary facets among these cells, (p, 2); with `whole` all of them must be on the boundary, or
-    none are returned.
-    """
+    """Return the boundary facets among these cells, (p, 2); with `whole`, none unless all cells are on the boundary."""
     lower = [(k, nodes) for k, nodes in cells if k != "node" and REFERENCES[k].dimension == mesh.dimension - 1]
     rows = [mesh.find_facets(nodes, kind) for kind, nodes in lower]
     row = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
@@ -140,7 +138,7 @@ def _flat(points: Array, dimension: int) -> Array:
 
 @dataclass
 class _Reading:
-    """The parts of a file read so far; names are in upper case, as Abaqus does not distinguish."""
+    """The parts of a file read so far; names are in upper case, as Abaqus ignores case."""
 
     labels: list[Index] = field(default_factory=list)
     points: list[Array] = field(default_factory=list)
@@ -262,7 +260,7 @@ def _is_label(word: str) -> bool:
 
 
 def _labels(sets: dict[str, Index], word: str) -> Index:
-    """Return a label, or the members of a set that stands further up; instance names in front are passed over."""
+    """Return a label, or the members of a set defined above; prefixes of instances are ignored."""
     name = word.rpartition(".")[2]
     if _is_label(name):
         return np.array([int(name)])
@@ -333,7 +331,7 @@ def _refuse_twice(what: str, labels: Index) -> None:
 
 
 def _places(what: str, labels: Index, wanted: Index) -> Index:
-    """Return the places of labels among all of them."""
+    """Return the indices of the `wanted` among all labels."""
     order = np.argsort(labels)
     place = np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)
     missing = labels[order[place]] != wanted

@@ -1,7 +1,6 @@
-"""A quadratic energy with parts and constraints, its minimum, and the state of each part there.
+"""Minimise a quadratic energy made of parts with constraints, and return the state of each part at the minimum.
 
-A part of a structure contributes energy, unknowns of its own and constraints; the multipliers of the minimum are its
-forces.
+Each part contributes energy, internal unknowns and constraints, whose multipliers are its forces.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from contactqp.solving.solve import solve
 
 # A linear form of the unknowns by their names.
 Form = Mapping[str, float]
-# Below this a dense matrix costs nothing and is easier to look at.
+# Below this number of unknowns a dense matrix costs nothing and is easier to inspect.
 DENSE_SIZE = 64
-# Unknowns that have numbers for names.
+# Unknowns without names are called by number.
 MOST_NUMBERED = 1_000_000
 
 
@@ -68,7 +67,7 @@ class Found:
     """Unknowns and multipliers of a minimum, by their names."""
 
     unknown: Mapping[str, float]
-    multiplier: Mapping[str, float]  # of conditions, one-sided ones not negative
+    multiplier: Mapping[str, float]  # of the conditions; not negative for inequalities
 
     def value(self, form: Form) -> float:
         return float(sum(factor * self.unknown[name] for name, factor in form.items()))
@@ -79,7 +78,7 @@ class PartState:
     """The state of one part at the minimum."""
 
     deformation: float  # elongation, rotation, or the bounded combination of unknowns
-    force: float  # what the part resists it with; the docstring of the part says which sign
+    force: float  # its sign is defined by the part
     status: str  # "taut" | "slack", "pushes" | "idle", "active" | "inactive", "elastic" | "yields", "tied"
     plastic: float = 0.0  # plastic part of the deformation
 
@@ -98,7 +97,7 @@ class Part(Protocol):
 
 
 def read_form(part: str, given: Any) -> dict[str, float]:
-    """Read a linear form as its user wrote it, without zeros.
+    """Check a linear form given by the user and drop its zeros.
 
     Raises InvalidProblem: it is no mapping from names to finite numbers, or zero.
     """
@@ -116,11 +115,11 @@ def read_form(part: str, given: Any) -> dict[str, float]:
 def read_number(what: str, value: Any, *, positive: bool = False) -> float:
     """Read a finite number.
 
-    Raises InvalidProblem: it is none, not finite, or not positive where it must be.
+    Raises InvalidProblem: it is not a number, not finite, or not positive where it must be.
 
     Parameters
     ----------
-    what : what a message calls the number
+    what : str, the name of the number in messages
     value : object, the number as the user gave it
     positive : whether it must be above zero
     """
@@ -131,7 +130,7 @@ def read_number(what: str, value: Any, *, positive: bool = False) -> float:
 
 
 def plus(form: Form, others: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Return a form with unknowns of the part's own added."""
+    """Return a form with coefficients of internal unknowns added."""
     return dict(form) | dict(others)
 
 
@@ -148,7 +147,7 @@ class ConstrainedEnergy:
     Parameters
     ----------
     unknowns : sequence of distinct str, or int
-        Their names, or how many there are (then "u0", "u1", ...).
+        Their names, or their number (the names are then "u0", "u1", ...).
     stiffness : (n, n) array or sparse matrix, optional
         K, symmetric positive semidefinite; zero by default.
     load : (n,) array, optional
@@ -161,13 +160,13 @@ class ConstrainedEnergy:
     Attributes
     ----------
     problem : ContactProblem
-        The same as a contact problem, for whatever takes one (`solve`, `certify`, `compare`): one-sided constraints are
-        its contacts, equalities its ties. Its energy is less by `constant`.
+        The same problem for `solve`, `certify` and `compare`: inequalities are its contacts, equalities its ties. Its
+        energy is smaller by `constant`.
 
     Raises
     ------
     InvalidProblem
-        Wrong shapes, names that occur twice, a part with an unknown that is none; the message names it.
+        Wrong shapes, repeated names, or a part with an undefined unknown; the message names it.
 
     Examples
     --------
@@ -219,7 +218,7 @@ class ConstrainedEnergy:
 
     @property
     def all_unknowns(self) -> tuple[str, ...]:
-        """Return the user's unknowns, and those that parts bring with them."""
+        """Return the user's unknowns and the internal ones of parts."""
         return (*self.names, *chain.from_iterable(added.internal for added in self._contributions.values()))
 
     @property
@@ -277,12 +276,12 @@ class ConstrainedEnergy:
     def solve(self, method: str = "active-set", **options: Any) -> ConstrainedMinimum:
         """Return the minimum; parameters and errors are those of `contactqp.solve`.
 
-        A load that nothing resists, such as one beyond the plastic limit, is `NoEquilibrium`.
+        Raises `NoEquilibrium` also for a load beyond the plastic limit.
         """
         return self.read(solve(self.problem, method, **options))
 
     def read(self, solution: Solution) -> ConstrainedMinimum:
-        """Return what a solution of `problem`, however it was found, says about the parts."""
+        """Return the state of the parts in a solution of `problem`, found by any method."""
         if solution.problem.dof_names != self.problem.dof_names:
             raise InvalidProblem("read: expected a solution of this energy's own problem")
         return ConstrainedMinimum(self, solution)
@@ -293,7 +292,7 @@ class ConstrainedEnergy:
 class ConstrainedMinimum(ReadOnly, Printed):
     """The minimum of the energy and the state of every part there; `minimum["x"]` is an unknown.
 
-    `print(minimum)` shows the verdict, the unknowns, and the parts: of many those with the largest forces.
+    `print(minimum)` shows the verdict, the unknowns, and the parts with the largest forces.
     """
 
     of: ConstrainedEnergy
@@ -331,7 +330,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
     @property
     def multiplier(self) -> Mapping[str, float]:
-        """Return the multiplier of every constraint by its name; those of one-sided ones are not negative."""
+        """Return the multiplier of every constraint by its name; those of inequalities are not negative."""
         return self._found.multiplier
 
     @cached_property
@@ -351,7 +350,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
 
 def _parts_table(parts: Mapping[str, PartState], units: Units) -> Table:
-    """Return the table of parts with their status, force and deformation; of many those of the largest forces."""
+    """Return the table of parts with the largest forces: status, force and deformation."""
     states = list(parts.items())
     shown = largest(np.array([abs(state.force) for _, state in states]))
     rows = [(name, state.status, number(state.force), number(state.deformation)) for name, state in states]

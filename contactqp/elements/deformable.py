@@ -1,8 +1,8 @@
-"""The protocols of bodies and contacts at large deformation, supported bodies, and rigid obstacles.
+"""Define the protocols of bodies and contacts at large deformation, supported bodies, and contact with rigid obstacles.
 
-Any code can meet the protocols `Deformable` and `ContactGeometry`. A body some of whose unknowns are supported is again
-a deformable body, of the free unknowns. Nodes meet rigid obstacles in the current configuration: gaps, normals and
-tangents turn with the motion, along a curved obstacle by the Hessian of its signed distance.
+Any class with the methods of `Deformable` or `ContactGeometry` can be used. A `Supported` body is again deformable,
+with the free unknowns. Gaps, normals and tangents of `ObstacleContact` belong to the current configuration; the
+curvature of an obstacle enters by the Hessian of its signed distance.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_sha
 class Deformable(Protocol):
     """A body with an energy: its force is the gradient and its tangent the Hessian of that energy.
 
-    Where the body cannot be (an element turned inside out) `energy` is inf and the two others raise InvalidProblem,
-    which names the place.
+    At an inadmissible displacement (an inverted element) `energy` is inf and the two others raise InvalidProblem, which
+    names the element.
     """
 
     @property
@@ -43,14 +43,14 @@ class Deformable(Protocol):
         """Return the elastic energy [force * length], zero at rest."""
 
     def internal_force(self, displacement: Vector) -> Vector:
-        """Return the gradient of the energy (n,) [force]: the loads that hold the body there."""
+        """Return the gradient of the energy (n,) [force], the loads in equilibrium with this displacement."""
 
     def tangent(self, displacement: Vector) -> Any:
         """Return the Hessian of the energy (n, n), sparse or dense, symmetric [force / length]."""
 
 
 def unknown_names_of(body: Deformable) -> tuple[str, ...] | None:
-    """Return the names of a body's unknowns; None of one that has no `unknown_names`."""
+    """Return the names of a body's unknowns, None if it has no `unknown_names`."""
     named = getattr(body, "unknown_names", None)
     return None if named is None else named()
 
@@ -61,10 +61,10 @@ class LinearisedContacts:
 
     Attributes
     ----------
-    gap : (m,) array, the gaps now, positive when open [length]
-    normal : (m, n) sparse array, E_N = -d gap / d u, now
-    tangent : ((d-1) m, n) sparse array, or None, E_T, contact-major, now
-    rounding : (m,) array, what rounding may make of the gaps [length]
+    gap : (m,) array, positive when open [length]
+    normal : (m, n) sparse array, E_N = -d gap / d u
+    tangent : ((d-1) m, n) sparse array, or None, E_T, contact-major
+    rounding : (m,) array, a bound of the rounding errors of the gaps [length]
     """
 
     gap: Vector
@@ -85,11 +85,11 @@ class ContactGeometry(Protocol):
         """Return gaps and rows at a displacement; InvalidProblem where a contact has lost its pair."""
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Return minus the sum over the contacts of l_N times the Hessian of the gap, (n, n) [force / length], or
-        None where it is not known.
+        """Return minus the sum over the contacts of l_N times the Hessian of the gap, (n, n) [force / length], or None
+        where it is not known.
 
-        It is what the contact forces add to the tangent as their directions turn. Without it Newton's method converges
-        linearly wherever the obstacle is curved.
+        It is the geometric stiffness of the contact forces. Without it Newton's method converges linearly on curved
+        obstacles.
         """
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
@@ -98,7 +98,7 @@ class ContactGeometry(Protocol):
         """
 
     def positions(self, displacement: Vector) -> Vector:
-        """Return where the contacts are, (m, d) [length]: anchors of a slip."""
+        """Return the positions of the contacts (m, d) [length], which serve as anchors of slips."""
 
 
 @checks
@@ -111,12 +111,12 @@ class Supported(ReadOnly):
     ----------
     body : Deformable
     held : array of int, or mapping of int to float
-        Places in the u of the body that are held, at zero or at a given displacement [length].
+        Indices of the fixed unknowns of the body, with their displacements unless zero [length].
 
     Raises
     ------
     InvalidProblem
-        A place that is none, or everything held.
+        An index out of range, or no free unknown.
 
     Examples
     --------
@@ -143,7 +143,7 @@ class Supported(ReadOnly):
 
     @cached_property
     def free(self) -> Index:
-        """Return the place in the body's u of each free unknown, ascending."""
+        """Return the index in the body's u of each free unknown, ascending."""
         return read_only(np.setdiff1d(np.arange(self.body.dimension), list(self.held)).astype(np.int64))
 
     @property
@@ -152,7 +152,7 @@ class Supported(ReadOnly):
         return len(self.free)
 
     def unknown_names(self) -> tuple[str, ...] | None:
-        """Return the names of the free unknowns, where the body has such."""
+        """Return the names of the free unknowns, None if the body has no names."""
         names = unknown_names_of(self.body)
         return None if names is None else tuple(names[j] for j in self.free.tolist())
 
@@ -180,10 +180,9 @@ class Supported(ReadOnly):
         return sp.csc_array(sp.csr_array(self.body.tangent(self.expand(displacement)))[self.free][:, self.free])
 
     def support_forces(self, displacement: ArrayLike) -> Vector:
-        """Return what the supports do to the body, (n of the body,) [force]: forces at supported unknowns, zero at
-        free ones.
+        """Return the support forces on the body at all its unknowns, zero at free ones [force].
 
-        Loads and contact forces that act on held unknowns go straight into the supports and are not in it.
+        Loads and contact forces on supported unknowns are not included.
         """
         force = self.body.internal_force(self.expand(displacement)).copy()
         force[self.free] = 0.0
@@ -195,7 +194,7 @@ class Supported(ReadOnly):
         Raises
         ------
         InvalidProblem
-            It is over another number of unknowns.
+            The geometry has another number of unknowns.
         """
         over = getattr(geometry, "dimension", self.body.dimension)
         if over != self.body.dimension:
@@ -209,7 +208,7 @@ class Supported(ReadOnly):
 @computes
 @dataclass(frozen=True, eq=False)
 class SupportedContact:
-    """Contacts of a supported body: only the free unknowns move them."""
+    """Contacts of a supported body as functions of its free unknowns."""
 
     support: Supported
     geometry: ContactGeometry
@@ -242,11 +241,11 @@ class SupportedContact:
         return self.geometry.slip_since(self.support.expand(displacement), anchor)
 
     def positions(self, displacement: Vector) -> Vector:
-        """Return where the contacts are, (m, d) [length]."""
+        """Return the positions of the contacts, (m, d) [length]."""
         return self.geometry.positions(self.support.expand(displacement))
 
 
-# Of a coordinate: a few operations lie between it and a gap.
+# The rounding error of a gap relative to the coordinates, for a few operations.
 ROUNDING_OF_COORDINATES = 16 * EPS
 
 
@@ -259,19 +258,18 @@ class ObstacleContact(ReadOnly):
     Parameters
     ----------
     points : (p, d) array or Surface
-        Where the nodes are at rest [length]. The nodes of a surface come with their unknowns.
+        Reference positions of the nodes [length]. A surface also states their unknowns.
     obstacle : Plane, Circle, Sphere, Cylinder, Paraboloid or SignedDistance
         Or anything with `dimension`, `distance(points)` and `normals(points)`, the gradient of the distance.
     unknowns : (p, d) array of int, optional
-        unknowns[i, a] is the place of node i's displacement along axis a in u. By default u is (p d,), node by node.
+        unknowns[i, a] is the index in u of node i's displacement along axis a. By default u is (p d,), node by node.
     dimension : int, optional
         n, the number of all unknowns; by default one more than the largest in `unknowns`.
 
     Raises
     ------
     InvalidProblem
-        As `cq.pair`; a paraboloid that measures its gap along the axis: that is no distance, and its normals are not
-        the gradient of its gap.
+        As `cq.pair`; or a paraboloid that measures its gap along the axis, which is no distance.
     """
 
     points: Any
@@ -302,7 +300,7 @@ class ObstacleContact(ReadOnly):
         return len(self.points)
 
     def positions(self, displacement: Vector) -> Vector:
-        """Return where the nodes are, (m, d) [length]."""
+        """Return the current positions of the nodes, (m, d) [length]."""
         u = real_array("displacement", displacement)
         if u.ndim != 1 or len(u) < (self.dimension or 0):
             raise InvalidProblem(f"displacement: expected the {self.dimension} unknowns, got shape {u.shape}")
@@ -333,7 +331,7 @@ class ObstacleContact(ReadOnly):
         return sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """Return t.(x - anchor) along the current tangents, (m, d-1) [length]; where the obstacle is curved, of the
+        """Return t.(x - anchor) along the current tangents, (m, d-1) [length]; on a curved obstacle x - anchor is the
         chord.
         """
         x = self.positions(displacement)
@@ -345,7 +343,7 @@ class ObstacleContact(ReadOnly):
 @checks
 @computes
 class ContactGroup:
-    """Several contact geometries of one u, one after the other: for bodies that may touch several obstacles.
+    """Several contact geometries over the same unknowns, for bodies that may touch several obstacles.
 
     Raises
     ------
@@ -379,7 +377,7 @@ class ContactGroup:
         )
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Return the sum over all geometries, or None where one does not know it."""
+        """Return the sum over all geometries, None where one of them has none."""
         total = None
         for part, force in zip(self.parts, self._split("normal_force", normal_force), strict=True):
             found = part.curvature(displacement, force)

@@ -1,8 +1,8 @@
-"""Springs that pull and push, cables that only pull, struts that only push, and plastic hinges that yield; bounds
-on linear combinations of unknowns.
+"""Parts of constrained energies: springs, cables without compression, struts without tension, plastic hinges, and
+bounds on linear combinations of unknowns.
 
-A cable's energy is 1/2 k max(e, 0)^2 with e = elongation - slack. It is the least of a quadratic one over a slackening
-s that is not negative,
+A cable's energy is 1/2 k max(e, 0)^2 with e = elongation - slack. It is the minimum of a quadratic energy over a
+slackening s >= 0,
 
     min over s >= 0 of 1/2 k (e + s)^2,        k (e + s) = l >= 0,  l s = 0,
 

@@ -1,8 +1,8 @@
 """Loads on bodies as consistent nodal forces, and mass matrices.
 
-f_i is the integral of N_i times what acts on the body. In plane problems the integrals carry the body's thickness, in
-axial symmetry the full circle 2 pi r. A load that varies is a function of the points (p, d), evaluated at the
-quadrature points. A consistent mass matrix is the integral of rho N_i N_j, a lumped one a diagonal of the same masses.
+f_i is the integral of N_i times the load. In plane problems the integrals carry the body's thickness, in axial symmetry
+the full circle 2 pi r. A load that varies is a function of the points (p, d), evaluated at the quadrature points. A
+consistent mass matrix is the integral of rho N_i N_j, a lumped one a diagonal of the same masses.
 """
 
 from __future__ import annotations
@@ -210,9 +210,9 @@ class PointLoad:
 
 
 def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> Index:
-    """Return the nodes that a name, a number or numbers stand for, each once.
+    """Return the nodes of a named set, or with these numbers, each once.
 
-    Raises InvalidProblem: no such set; numbers that are none or out of range.
+    Raises InvalidProblem: no such set, or numbers that are no integers or out of range.
     """
     if isinstance(nodes, str):
         return body.mesh.nodes(nodes)
@@ -225,11 +225,11 @@ def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArr
 def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, ...]) -> Vector:
     """Return the values of a field at (..., d) positions: (..., *shape).
 
-    Raises InvalidProblem: a value of another shape, or one that is not finite; `what` is what it belongs to.
+    Raises InvalidProblem: a value of another shape, or one that is not finite.
 
     Parameters
     ----------
-    what : what a message calls the field
+    what : str, the name of the field in messages
     value : array or function, one value for all positions, or a function from (p, d) points to (p, *shape)
     positions : (..., d) array, where the field is evaluated [length]
     shape : tuple of int, the shape of one value
@@ -286,9 +286,10 @@ def bar_mass(density: Number, area: Number, start: Any, end: Any, lumped: bool =
 def solid_mass(body: Body, lumped: bool = False) -> Any:
     """Return M of an elastic body: (N d, N d) CSC, symmetric positive definite [force time^2 / length].
 
-    Consistent, M_ij = integral of rho N_i N_j, with the body's thickness, or of the full circle. Lumped, the diagonal
-    of each element's consistent matrix, scaled to the element's mass: positive for every kind of element, where sums of
-    rows are not (Hinton, Rock and Zienkiewicz 1976). Of linear triangles, tetrahedra and rectangles both are the same.
+    The consistent matrix is M_ij = integral of rho N_i N_j, with the body's thickness or over the full circle. The
+    lumped one is the diagonal of each element's consistent matrix, scaled to the element's mass, which is positive for
+    every kind of element, unlike row sums (Hinton, Rock and Zienkiewicz 1976). For linear triangles, tetrahedra and
+    rectangles both lumpings are the same.
 
     Raises InvalidProblem: the material has no density.
     """

@@ -53,8 +53,8 @@ class Material:
     modulus : float
         Young's modulus E from 1e-120 to 1e120 [force / length^2].
     poisson : float
-        Poisson's ratio [-], -1 < nu < 1/2. Close to 1/2 linear elements lock (far too stiff, because every quadrature
-        point then asks for a constant volume): with nu > 0.45 use quadratic ones. No mixed formulation is offered.
+        Poisson's ratio [-], -1 < nu < 1/2. Close to 1/2 linear elements lock (they are far too stiff, as every
+        quadrature point enforces constant volume): with nu > 0.45 use quadratic ones. No mixed formulation is offered.
     density : float
         rho >= 0 [mass / length^3]; only gravity and motions need it.
     name : str

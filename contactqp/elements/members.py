@@ -1,7 +1,7 @@
 """Members between two nodes and point masses: bars of trusses, springs, strings and plane beams.
 
 Stiffness matrices act on the displacements of both nodes, those of the first before those of the second. They are
-exact, in Fractions, where all data are rational and the length of the member is.
+exact, in Fractions, where all data and the length of the member are rational.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def string_stiffness(tension: Number, start: Any, end: Any) -> Numbers:
     """Return K = (T / h) [[P, -P], [-P, P]] with P = I - d d' / h^2, d = end - start and h = |d|.
 
     Across the string, on the deflections (w_start, w_end), that is (T / h) [[1, -1], [-1, 1]]: the energy is the
-    integral of T/2 w'^2. Along the string nothing resists. Small slopes; the tension does not change.
+    integral of T/2 w'^2. There is no stiffness along the string. Slopes are small and the tension is constant.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A mesh of one body: points, elements, named sets and sides; every refusal names the element, the node or the set."""
+"""A mesh of one body: points, elements, named sets and sides, checked with messages that name element, node or set."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Mesh(ReadOnly):
     Raises
     ------
     InvalidProblem
-        The mesh is no good: see mesh_checks.
+        The mesh is invalid, see `check_mesh`.
     """
 
     points: Array
@@ -104,7 +104,7 @@ class Mesh(ReadOnly):
         raise self._unknown(name)
 
     def places(self, what: str, numbers: Index) -> Index:
-        """Return the nodes that have these numbers, ascending; `what` begins the message of an error.
+        """Check node numbers and return them ascending, each once; `what` begins the message of an error.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Mesh(ReadOnly):
         return len(self.points)
 
     def number(self, node: int) -> int:
-        """Return the number by which messages call a node."""
+        """Return the number of a node in messages."""
         return int(node)
 
     def side(self, name: str) -> tuple[Block, ...]:
@@ -371,7 +371,7 @@ def _check_duplicates(blocks: Sequence[Block]) -> None:
 
 
 def _check_neighbours(blocks: Sequence[Block]) -> None:
-    """Refuse a linear element beside a quadratic one: the middle node between them would hang loose."""
+    """Refuse a linear element beside a quadratic one, since the middle node between them would be unconnected."""
     kinds = {block.kind.facet for block in blocks if len(block)}
     if len(kinds) == len({REFERENCES[kind].linear for kind in kinds}):
         return
@@ -399,14 +399,14 @@ def _check_neighbours(blocks: Sequence[Block]) -> None:
 def _check_jacobians(points: Points, block: Block, first: int) -> None:
     """Require det J > 0 at the quadrature points, >= 0 at the nodes, up to the rounding of the coordinates.
 
-    Where it is uneven the element is checked on a lattice too: between those points it may still fold.
+    Where det J varies strongly the element is also checked on a lattice of points, between which it may fold.
     """
     kind = block.kind
     seen = np.vstack([kind.rule.points, kind.fine_rule.points])
     lattice = _lattice(kind)
     for part in batches(block, len(seen) * kind.dimension**2):
         corners = points[part.nodes]
-        with np.errstate(over="ignore", invalid="ignore"):  # coordinates near the end of the floats: refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # coordinates that overflow are refused below
             size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
             # A determinant multiplies d differences of coordinates, each rounded to eps times the coordinate.
             largest = np.abs(corners).max(axis=(1, 2))

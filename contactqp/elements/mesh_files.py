@@ -1,8 +1,9 @@
-"""Meshes from files, by meshlane or by the reader of Abaqus files, from scikit-fem, and on an integer lattice.
+"""Read meshes from files, by meshlane or the reader of Abaqus files, convert those of scikit-fem, and make structured
+ones.
 
-Patches of a lattice are glued where their keys agree and cut into elements of any kind. Each node carries a key, a few
-whole numbers. Keys count half cells, so that even keys are corners and odd ones the middles that quadratic elements
-need. Nodes of different patches with the same key are one node. Quadrilaterals and hexahedra are the cells themselves;
+A structured mesh consists of patches of an integer lattice, cut into elements of any kind. The key of a node is its
+integer coordinates in half cells, so that even keys are corners and odd ones the middle nodes of quadratic elements.
+Nodes of different patches with the same key are one node. Quadrilaterals and hexahedra are the cells themselves;
 simplices are the 2 triangles or 6 tetrahedra on the monotone paths between two opposite corners of a cell (Kuhn 1960),
 which fit together because the paths run towards growing absolute keys.
 """
@@ -69,7 +70,9 @@ class Patch:
         return low, high
 
     def part(self, part: int, parts: int) -> Patch | None:
-        """Return one of several equal slabs of cells across the longest direction; None where there are fewer cells."""
+        """Return one of several equal slabs of cells across the longest direction, None for parts beyond the number of
+        cells.
+        """
         along = int(np.argmax([len(axis) for axis in self.axes]))
         count = (len(self.axes[along]) - 1) // 2
         begin, end = (count * (part + i) // parts for i in range(2))
@@ -82,7 +85,7 @@ class Patch:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """A mesh before it is made: all of it, or the part of one of several processes.
+    """The description of a structured mesh, which is made whole or, on several processes, in parts.
 
     Nodes are numbered in the order of their keys, so that every part has the numbers of the whole.
 
@@ -94,7 +97,7 @@ class Lattice:
     kind : str, the kind of element
     position : function, coordinates (N, d) of nodes with the keys (N, components) [length]
     sides : mapping of name to function
-        Which keys lie on the side: a boundary facet belongs to it when all its nodes do.
+        Returns which keys lie on the side; a boundary facet belongs to it when all its nodes do.
     nearest : mapping of name to (d,) point, node sets of one node, the nearest to the point [length]
     """
 
@@ -124,13 +127,13 @@ class Lattice:
         return low, tuple(int(n) for n in high - low + 1)
 
     def keys(self, codes: Index) -> Index:
-        """Return the keys (N, components) that these codes stand for."""
+        """Return the keys (N, components) of integer codes."""
         low, shape = self.frame
         return np.stack(np.unravel_index(codes, shape), axis=1) + low
 
     def elements(self, part: int = 0, parts: int = 1) -> Index:
-        """Return the codes (E, n) of the elements' nodes, which are ordered as the keys are; or an equal part of
-        them.
+        """Return the integer codes (E, n) of the elements' nodes, ordered as their keys, for one of `parts` equal
+        parts.
         """
         low, shape = self.frame
         found = [np.zeros((0, len(self.reference.nodes)), dtype=np.int64)]
@@ -151,7 +154,7 @@ class Lattice:
         Raises
         ------
         InvalidProblem
-            A mesh that is no good.
+            The mesh is invalid.
         """
         codes = self.elements()
         used, numbers = np.unique(codes, return_inverse=True)
@@ -187,7 +190,7 @@ def _cells(patch: Patch, nodes: Index, kind: Reference) -> Index:
 
 
 def _simplices(kind: Reference, turned: tuple[bool, ...]) -> list[Index]:
-    """Return the places (n, d) in the 3^d nodes of a cell of each simplex in it, its directions reversed where
+    """Return the positions (n, d) of each simplex's nodes among the 3^d of a cell, with directions reversed where
     `turned`.
     """
     found = []
@@ -214,7 +217,7 @@ LONGEST_REASON = 200
 
 @checked
 def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """Read a mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and whatever else meshlane reads.
+    """Read a mesh from a file: Abaqus or CalculiX ``.inp``, Gmsh ``.msh``, VTU and other formats of meshlane.
 
     Parameters
     ----------
@@ -227,7 +230,7 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
     Raises
     ------
     InvalidProblem
-        The file is not there or cannot be read, holds elements of a kind not offered, or a mesh that is no good.
+        The file does not exist or cannot be read, has elements of a kind not offered, or holds an invalid mesh.
     BackendMissing
         meshlane is not installed.
 
@@ -260,10 +263,10 @@ def mesh_from_meshlane(mesh: Any, *, part: str | None = None, drop_unconnected: 
 def mesh_from_skfem(mesh: Any, *, part: str | None = None) -> Mesh:
     """Make a mesh from a scikit-fem mesh of triangles, quadrilaterals, tetrahedra or hexahedra, linear or quadratic.
 
-    Its boundaries become sides and its subdomains groups of elements. scikit-fem does not turn its elements in one
-    sense: those with a negative Jacobian are mirrored, which changes the order of their nodes only.
+    Its boundaries become sides and its subdomains groups of elements. Elements of scikit-fem with a negative Jacobian
+    are mirrored, which changes only the order of their nodes.
 
-    Raises InvalidProblem: a mesh of another kind, or one that is no good.
+    Raises InvalidProblem: a mesh of another kind, or an invalid one.
     """
     local = np.asarray(mesh.elem().doflocs, dtype=float)
     kind = next((k for k in REFERENCES.values() if k.facet and len(_match(k, local)) == len(local)), None)
@@ -294,14 +297,14 @@ def _read_by_meshlane(file: Path) -> Any:
         with streams[0], streams[1], _without_mark(file) as plain:
             return meshlane.read(plain)
     except (SystemExit, Exception) as error:
-        # Its readers raise whatever they stumble over, and some print their reason and leave the interpreter.
+        # meshlane's readers raise arbitrary exceptions, and some print their reason and exit.
         reason = printed.getvalue().strip() or f"{type(error).__name__}: {error}"
         raise InvalidProblem(f"meshlane cannot read it ({' '.join(reason.split())[:LONGEST_REASON]})") from error
 
 
 @contextlib.contextmanager
 def _without_mark(file: Path) -> Iterator[Path]:
-    """Yield the file, or a copy without the mark of UTF-8 that editors put before text; XML may have the mark."""
+    """Yield the file, or a copy without the byte order mark of UTF-8; XML files may keep it."""
     with file.open("rb") as marked:
         if marked.read(3) != BOM_UTF8 or marked.read(1) == b"<":
             yield file
@@ -322,7 +325,7 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
             raise InvalidProblem(f"mesh: expected cells of {kinds}, got {block.type}")
         kind, nodes = MESHIO_KINDS[block.type], np.asarray(block.data, dtype=np.int64)
         width = 1 if kind == "node" else len(REFERENCES[kind].nodes)
-        if nodes.ndim != 2 or nodes.shape[1] != width:  # what is left of a file that is cut off
+        if nodes.ndim != 2 or nodes.shape[1] != width:  # as in a truncated file
             raise InvalidProblem(f"mesh: expected {width} nodes a {kind}, got nodes of shape {nodes.shape}")
         cells.append((kind, nodes))
     groups: dict[str, list[Index]] = {}
@@ -342,7 +345,7 @@ def _cells_of_meshlane(mesh: Any) -> Cells:
 
 
 def _physical(mesh: Any, tags: Any) -> dict[str, list[Index]]:
-    """Return Gmsh's physical groups from the tags of the cells: tags are counted for each dimension by itself."""
+    """Return Gmsh's physical groups from the tags of the cells, which are numbered for each dimension separately."""
     names = {(int(tag), int(dimension)): name for name, (tag, dimension) in mesh.field_data.items()}
     groups: dict[str, list[Index]] = {}
     for i, (block, values) in enumerate(zip(mesh.cells, tags, strict=True)):
@@ -366,7 +369,7 @@ def _unit(kind: Reference) -> Array:
 
 
 def _match(kind: Reference, points: Array) -> list[int]:
-    """Return, for each node of the kind, its place among the points; shorter where a node is not among them."""
+    """Return the index among the points of each node of the kind; nodes that are not there are left out."""
     if points.shape[1] != kind.dimension:
         return []
     near = abs(_unit(kind)[:, None] - points).max(axis=2) < 1e-9

@@ -23,9 +23,9 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index, own_floating_point
 
-# As node to segment: polygons of round bodies that fit overlap by a few per cent of their facets.
+# As node to segment: meshes of round bodies that fit exactly overlap by a few per cent of their facets.
 OVERLAP = 0.05
-# A node whose tributary area is covered by less than this has no multiplier: its row would repeat its neighbours'.
+# A node with less than this part of its tributary area covered has no multiplier, as its row would be redundant.
 COVERED = 0.05
 
 
@@ -46,13 +46,12 @@ def pair_mortar(
     nodal FORCE, and the contact pressure is the field sum_i (lambda_i / a_i) psi_i: `pairing.pressure(lambda)` are its
     nodal values. Integration is over the exact intersections of slave facets with projected master facets.
 
-    psi_i are the slave's own shape functions, which are nowhere negative: a gap that is open everywhere gives open
-    rows, each node has one inequality, and a facet that the master covers only in part is just integrated over that
-    part, with nothing to invert. (Biorthogonal functions make E_N's slave block diagonal, which elimination in the
-    contact block would use and nothing here needs; they change sign, and on a sliver of a facet they become arbitrarily
-    large: Wohlmuth 2000; Popp et al. 2010; Cichosz & Bischoff 2011.) A node of which less than 5 % is covered has no
-    row of its own: its psi is added to those of the facet's other nodes, so that all psi sum to 1 up to the boundary of
-    contact.
+    psi_i are the slave's own shape functions, which are nowhere negative: a gap that is open everywhere gives positive
+    weighted gaps, each node has one inequality, and a partly covered facet is integrated over the covered part, without
+    inverting a matrix. (Biorthogonal functions make E_N's slave block diagonal, which is not needed here; they change
+    sign, and on a sliver of a facet they become arbitrarily large: Wohlmuth 2000; Popp et al. 2010; Cichosz & Bischoff
+    2011.) A node of which less than 5 % is covered has no row of its own: its psi is added to those of the facet's
+    other nodes, so that all psi sum to 1 up to the boundary of contact.
 
     Forces and moments balance exactly, also with an initial gap and on curved surfaces, since both tractions of a point
     are on one line along n. A constant pressure is transmitted exactly between meshes that do not match (the patch test
@@ -84,8 +83,8 @@ def pair_mortar(
     ------
     InvalidProblem
         Axisymmetric bodies; quadratic facets (their trace is not linear on any split, which the patch test would
-        show); a surface that is none; surfaces that share a node or face each other nowhere; overlap; master facets
-        behind each other.
+        show); an argument that is no Surface; surfaces that share a node or do not face each other; overlap; master
+        facets behind each other.
     """
     for surface in (slave, master):
         check_surface(surface)
@@ -147,8 +146,8 @@ def _refuse_overlap(slave: Surface, master: Surface, covers: _Covers, overlap: f
 
 
 def _multiplier_functions(slave: Surface, covers: _Covers) -> Array:
-    """Return T of psi_i = sum_j T_ij N_j on each slave facet, (p, k, k): the identity but where nodes hand their
-    part to the others.
+    """Return T of psi_i = sum_j T_ij N_j on each slave facet, (p, k, k); it is the identity except where a node without
+    multiplier passes its psi to the others.
     """
     k = slave.facets.shape[1]
     touched = slave.facets[covers.slave]
@@ -199,8 +198,8 @@ def _summed(nodes: Index, values: Array, body: Surface) -> Array:
 
 
 def _entries(facet: Index, columns: Index, weight: Array, body: Surface) -> tuple[Index, Index, Array, Index]:
-    """Return the slave facet, the place of the row's node in it, the weight, and the unknowns of each of weight's
-    entries.
+    """Return for each entry of `weight` its slave facet, the index of the row's node in it, the weight, and the
+    unknowns.
     """
     count, k, others = weight.shape
     facets = np.repeat(facet, k * others)

@@ -71,8 +71,8 @@ def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[S
     ----------
     slave, master : line2, or tri3 and quad4 in any combination
     reach : float, optional
-        How far a slave facet looks for master facets along its normal, on either side [length]. By default three times
-        the distance from its centre to the nearest master node, plus its diameter.
+        The distance within which master facets are searched along the normal, on either side [length]. By default three
+        times the distance from its centre to the nearest master node, plus its diameter.
     """
     positions, others = slave.points[slave.facets], master.points[master.facets]
     normals, other_normals = middle_normals(slave), middle_normals(master)
@@ -111,7 +111,7 @@ def _candidates(
         farthest = float(np.linalg.norm(np.ptp(ends, axis=0)))  # nothing lies beyond
         far = np.full(len(centres), min(float(reach), farthest))
     half = radii + np.median(other_radii)
-    # A tube of more balls than a block holds crosses nothing but void: the facets themselves are fewer.
+    # Tubes are cut off at the length that a block of balls covers, as there are fewer facets than that.
     balls = np.ceil(np.minimum(far / (2 * half), BLOCK)).astype(np.int64)
     all_facets = balls == BLOCK
     count = np.where(all_facets, len(other_centres), 2 * balls + 1)

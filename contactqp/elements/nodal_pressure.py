@@ -6,9 +6,9 @@ that belongs to a function psi_j = sum_i C_ij N_i is the moment with it over its
     q_j = int psi_j p dA / int psi_j dA = (C' F)_j / (C' a)_j,    a_i = int N_i dA,    sum_j psi_j = 1.
 
 A constant pressure comes out exactly at every node, and sum_j (C' a)_j q_j is the resultant. The q_j are those of the
-projection with functions biorthogonal to psi (Wohlmuth 2000), as the mortar has them. The consistent mass matrix,
-M p = F, is not solved: it enlarges what is uneven from node to node several times, and the forces of meshes that do not
-match, of linear simplices and of one-sided contact at quadratic corners are uneven.
+projection with functions biorthogonal to psi (Wohlmuth 2000), as in the mortar. The system with the consistent mass
+matrix, M p = F, is not solved: it amplifies oscillations from node to node several times, and forces oscillate on
+nonmatching meshes, on linear simplices and for unilateral contact at quadratic corners.
 
 Such a mean belongs to the middle x_j = int psi_j x dA / int psi_j dA, which at the end of a side is a third of a facet
 away from the node, and off the node too where facets of two sizes meet. The value at node i is therefore
@@ -17,9 +17,9 @@ away from the node, and off the node too where facets of two sizes meet. The val
 
 the last along the side, with the smallest D over the functions around the node, so that a pressure that varies linearly
 over a flat side is exact at every node, its ends included. There are two: over the facets at the node, and over their
-neighbours too but without the node's own function. The smaller D q of one sign counts: the first sees the slope vanish
-at a plane of symmetry, the second is not led on by the pole at a punch's edge. And it is at most half of C q, so that
-the pressure has the sign of the forces and is zero where they are, also where it falls to zero within a facet.
+neighbours too but without the node's own function. The smaller D q is used if both have one sign: the first gives zero
+slope at a plane of symmetry, the second does not follow the singularity at a punch's edge. It is limited to half of C
+q, so that the pressure has the sign of the forces and vanishes with them, also where it falls to zero within a facet.
 
 dA carries the thickness of a plane body and 2 pi r of a revolved one, as the forces do. The functions psi by facet:
 
@@ -57,9 +57,9 @@ from contactqp.model.problem_data import ReadOnly
 GAUSS_POINTS = 5
 # The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
 NOT_POSITIVE = ("tri6", "quad8")
-# An error of the pressure of this part of it is worth a word.
+# Relative errors of the pressure from here on are noted.
 NOTABLE = 0.1
-# Cosine of 30 degrees: where a facet's normal is further from the mean of its neighbours' the side has a true edge.
+# Cosine of 30 degrees: a facet's normal that deviates more from the mean of its neighbours' marks a true edge.
 EDGE = np.cos(np.pi / 6)
 # Facets match where the nodes of one side stand over nodes of the other, to this part of the distance between nodes.
 MATCHING = 0.05
@@ -76,8 +76,7 @@ def tributary_areas(surface: Surface) -> Array:
     The integrals of six-node triangles and eight-node quadrilaterals are zero (tri6) or negative (quad8, -1/12 of the
     facet's area) at the corners, that of revolved quadratic facets is zero at a node on the axis. For these the areas
     are a_i = A_f int N_i^2 / sum_j int N_j^2 on each facet (Hinton, Rock & Zienkiewicz 1976): positive and of the right
-    sum. Such an area is a weight of its node; no pressure comes from dividing by it, but from
-    contactqp.elements.nodal_pressure.
+    sum. Such an area is only a weight of its node; pressures are computed by `nodal_pressure`.
 
     Raises InvalidProblem: an area that is not positive: a middle node far off the middle of its facet.
     """
@@ -223,7 +222,7 @@ def kinks(surface: Surface) -> Array:
 
 
 def same_facets(slave: Surface, master: Surface) -> bool:
-    """Say whether a facet of the master with as many nodes, each at its place, faces each facet of the slave."""
+    """Return whether each facet of the slave faces a facet of the master with nodes at the same places."""
     over = nodes_over(slave, master)
     if over is None or slave.facets.shape[1] != master.facets.shape[1]:
         return False
@@ -244,8 +243,8 @@ def nodes_over(slave: Surface, master: Surface) -> Index | None:
 
 # A node is on the axis of symmetry if it is nearer to it than so many diameters of its facet.
 ON_AXIS = 1e-9
-# The change from a mean to the node is at most this part of it: forces that are uneven or fall to zero beside the node
-# would show as a pull or as no pressure where a contact presses.
+# The largest change from a mean to the value at the node, relative to the mean, so that oscillating forces cannot give
+# a tensile or zero pressure where a contact force is positive.
 LARGEST_CHANGE = 0.5
 # Offsets of less than this part of the distances between the middles are rounding, as are the squares of spreads.
 ROUNDING_OF_OFFSETS = 1e-12
@@ -271,8 +270,8 @@ class NodalPressure(ReadOnly):
     def of(self, force: ArrayLike) -> Vector:
         """Return forces per area at the nodes, of either sign, (p,) [force / area].
 
-        A force that is not known, NaN, is left out with its part of the area, and the value at its node is NaN. So is
-        one whose functions have no known node; beside it D is left out.
+        An unknown force, NaN, is left out with its part of the area, and the value at its node is NaN, as is a value
+        whose functions have no known node. Beside it D is not used.
         """
         given = real_array("force", force)
         finite = np.isfinite(given)
@@ -300,8 +299,8 @@ def nodal_pressure(
 ) -> NodalPressure:
     """Return the projection for the nodes of a surface that have a contact; the others carry no pressure.
 
-    A facet's node without contact hands its N to those that have one, so that all psi still sum to 1 up to the boundary
-    of contact.
+    The shape function of a node without contact is added to those of the facet's other nodes, so that all psi sum to 1
+    up to the boundary of contact.
 
     Parameters
     ----------
@@ -344,9 +343,7 @@ def nodal_pressure(
 
 
 def _handed(part: Vector, mine: Mask) -> Vector:
-    """Return the parts (f, k, c) of a facet's nodes without contact, in equal shares to those that have one, `mine`
-    (f, k).
-    """
+    """Return the parts (f, k, c) of nodes without contact, distributed equally to those with one, `mine` (f, k)."""
     kept = mine[:, :, np.newaxis]
     handed = np.where(kept, 0.0, part).sum(axis=1, keepdims=True) / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     return np.where(kept, part + handed, 0.0)
@@ -420,7 +417,9 @@ def _corners(kind: FacetKind, facets: Index, size: int) -> Any:
 
 
 def _middles(facets: Index, size: int) -> Any:
-    """Return C of corners that hand their forces to the middles beside them, and have their mean; facets (p, 6)."""
+    """Return C of corners whose forces go to the middles beside them and whose value is the mean of these; facets (p,
+    6).
+    """
     after = facets[:, 3:]
     pairs = np.column_stack(
         [np.tile(facets[:, :3].ravel(), 2), np.r_[after.ravel(), np.roll(after, 1, axis=1).ravel()]]
@@ -432,7 +431,9 @@ def _middles(facets: Index, size: int) -> Any:
 
 
 def _without_axis(surface: Surface, facets: Index, size: int) -> Any:
-    """Give nodes on the axis the value of the nearest node of their facet, the middle if it has one; facets (p, k)."""
+    """Return C where nodes on the axis take the value of the nearest node of their facet, the middle one if there is
+    one; facets (p, k).
+    """
     on_axis = _on_axis(surface)[facets[:, :2]]
     facet, end = np.nonzero(on_axis & ~on_axis[:, ::-1])
     axis, nearest = facets[facet, end], facets[facet, 2 if facets.shape[1] == 3 else 1 - end]

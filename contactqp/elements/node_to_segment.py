@@ -1,8 +1,8 @@
 """Body against body, node to segment: each slave node stays outside the master facet that is nearest to it.
 
-The nearest facet is one of those that face the node. Candidates are found by balls that overlap, in n log n for facets
-of any sizes. The closest point of a facet is found for straight, bilinear and quadratic facets alike, and it is said
-where the surface ends.
+Only facets that face the node are considered. Candidates are found by overlapping balls in O(n log n) for facets of any
+sizes. The closest point is computed on straight, bilinear and quadratic facets, and nodes beyond the end of the surface
+are marked.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ FACING = 1e-6
 SAME = 1e-9
 # A point may stand over the end of a surface by this part of the facet: meshes of flush bodies differ by rounding.
 FLUSH = 1e-6
-# A curved side's normal at its end is off the last facet's by about the kink at that facet's other end, by twice that
-# where the facet is much longer than its neighbour. A point in the direction of the true normal stands over the end.
+# The true normal at the end of a curved side differs from the last facet's by about the kink at that facet's other end,
+# at most twice that. A point in the direction of the true normal is still over the surface.
 BENT = 2.0
 # Points times facets searched together: some 300 MB where every facet has to be searched.
 PAIRS = 20_000_000
@@ -59,7 +59,7 @@ HALVINGS = 20
 CONVERGED = 1e-13
 # A foot this far outside the reference element counts as inside: it is on the edge but for rounding.
 EDGE = 1e-10
-# Where a foot may wander on its way, in reference coordinates.
+# The range of iterates in reference coordinates.
 FAR = 2.0
 
 
@@ -88,7 +88,7 @@ def nearest_facets(points: Array, normals: Array, surface: Surface, reach: float
     ----------
     points, normals : (p, d) arrays, the points and the outward unit normals of the body that they belong to
     surface : Surface
-    reach : facets further away than this are none [length]
+    reach : float or None, the largest distance of facets [length]
     """
     corner = surface.points[surface.nodes]
     everywhere = np.linalg.norm(points - corner.mean(axis=0), axis=1) + np.ptp(corner, axis=0).sum()
@@ -129,7 +129,7 @@ class _Found:
 def _search(
     active: Index, points: Array, normals: Array, surface: Surface, search: Array, limit: Array
 ) -> Iterator[_Found]:
-    """Find the facing facets nearest to the `active` points, all that are as near: ever further out, up to `limit`."""
+    """Find all nearest facing facets of the `active` points by searches of growing radius, up to `limit`."""
     kind, positions, middle = kind_of(surface), surface.points[surface.facets], middle_normals(surface)
     centres, radii = bounding_balls(positions)
     best = np.full(len(points), np.inf)
@@ -151,7 +151,7 @@ def _search(
 
 
 def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
-    """Choose the first of the nearest facets of each point; normals, and the end of the surface, come from all of
+    """Choose the first of the nearest facets of each point; the normal and the end of the surface follow from all of
     them.
     """
     kind = kind_of(surface)
@@ -201,7 +201,7 @@ def _over_the_end(
     apart: Array,
     flush: Array,
 ) -> Mask:
-    """Say whether each point stands outside an edge that belongs to one facet only, (q,)."""
+    """Return whether each point lies beyond an edge that belongs to one facet only, (q,)."""
     corners = np.sort(surface.facets[:, kind.edges], axis=2).reshape(-1, kind.edges.shape[1])
     _, inverse, count = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
     last = (count[inverse.ravel()] == 1).reshape(len(surface.facets), -1)
@@ -317,7 +317,7 @@ def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, al
     size = np.trace(metric, axis1=1, axis2=2)
     indefinite = np.linalg.eigvalsh(hessian)[:, 0] <= 1e-3 * np.linalg.eigvalsh(metric)[:, 0]
     hessian[indefinite] = metric[indefinite]
-    # Far outside a facet its two tangents may be parallel, and a line's end has none: elsewhere this is below rounding.
+    # A regularisation below rounding, for parallel tangents far outside a facet and vanishing ones at a line's end.
     ridge = np.where(size > 0, 1e-15 * size, 1.0)
     hessian += ridge[:, np.newaxis, np.newaxis] * np.eye(len(along))
     gradient = np.einsum("qds,qd->qs", tangents, apart)
@@ -326,7 +326,7 @@ def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, al
 
 # Polygons of two round bodies that fit, a shaft in its bore, overlap by h^2 / (8 R): 5 % of h as long as h < 0.4 R.
 OVERLAP = 0.05
-# Gauss points per direction on a facet that stands over the end of the master surface: its part is known to a tenth.
+# Gauss points per direction on a facet over the end of the master surface, which give its covered part to a tenth.
 POINTS = 8
 
 
@@ -348,8 +348,8 @@ def pair_node_to_segment(
 
     Forces balance, and so do moments: the foot is on the line of the force. A constant pressure is not transmitted
     exactly between meshes that do not match: this pairing fails the contact patch test (Taylor & Papadopoulos 1991),
-    and `pair_mortar` passes it. Only slave nodes are held out of the other body, so that the finer mesh, or the softer
-    body, should be the slave.
+    and `pair_mortar` passes it. Only slave nodes are kept from penetrating, so the finer mesh, or the softer body,
+    should be the slave.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def pair_node_to_segment(
     Raises
     ------
     InvalidProblem
-        A surface that is none, surfaces that share a node, no slave node that faces a master facet, overlap.
+        An argument that is no Surface, surfaces that share a node, no slave node that faces a master facet, overlap.
     """
     check_surface(slave)
     check_surface(master)
@@ -425,10 +425,10 @@ def pair_node_to_segment(
 
 
 def _covered(slave: Surface, master: Surface, paired: Index, reach: float | None) -> Array:
-    """Return the part of each slave facet that stands over the master, for facets only some of whose nodes are
-    paired.
+    """Return the part of each slave facet that lies over the master, for facets with only some nodes paired.
 
-    Where no point of any facet of a paired node does, a master narrower than a facet, its facets count whole.
+    The facets of a paired node count as wholly covered if none of their points lies over the master, which is then
+    narrower than a facet.
     """
     with_partner = np.isin(slave.facets, paired)
     covered = with_partner.any(axis=1).astype(float)

@@ -73,7 +73,7 @@ class HyperelasticLaw(Protocol):
 class SaintVenantKirchhoff:
     """Linear elasticity at large rotations: w = lambda (tr G)^2 / 2 + mu G:G, S = lambda tr G 1 + 2 mu G.
 
-    It is no law for large compression: a bar is weakest at L / L0 = 1 / sqrt(3), and beyond that gives way.
+    It is not suited to large compression: the force of a bar is largest at L / L0 = 1 / sqrt(3) and falls beyond that.
     """
 
     lame_lambda: float
@@ -156,7 +156,7 @@ class NonlinearSolid:
     body : Body
         In plane strain or 3D; in plane stress with the law of Saint Venant and Kirchhoff, whose S_zz = 0 then.
     law : "saint-venant-kirchhoff", "neo-hookean" or a HyperelasticLaw
-        With the Lame constants of the body's material; a law of one's own brings its own.
+        The named laws take the Lame constants of the body's material.
 
     Raises
     ------
@@ -290,7 +290,9 @@ class NonlinearSolid:
 
     @cached_property
     def _at_rest(self) -> list[tuple[Block, int, Array, Array]]:
-        """Return, for every batch of elements, the place of its first in its block, shape gradients and weights."""
+        """Return, for every batch of elements, its block, the index of its first element, shape gradients and
+        weights.
+        """
         d, found = self.body.dimension, []
         for block in self.body.mesh.blocks:
             rule, first = self.body.stiffness_rule(block), 0

@@ -110,9 +110,7 @@ class LogarithmicLaw:
 
 @dataclass(frozen=True)
 class LawOfEachBar:
-    """One law for each of B bars: eps is (B,). If one of them cannot bear a bar of no length, none of them may have
-    one.
-    """
+    """One law for each of B bars, eps is (B,). It admits bars of zero length only if all of the laws do."""
 
     laws: tuple[BarLaw, ...]
 
@@ -258,7 +256,7 @@ class NonlinearTruss(ReadOnly):
         return np.asarray(self.area * self.stress(displacement) * stretch)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """Return the sum of E A0 L0 w(eps); inf where a bar has shrunk to a point and its law cannot bear that."""
+        """Return the sum of E A0 L0 w(eps); inf where a bar has zero length and its law is singular there."""
         eps = self.strain(displacement)
         if not self.bar_law.length_free and np.any(1 + 2 * eps <= 0):
             return float("inf")
@@ -270,7 +268,7 @@ class NonlinearTruss(ReadOnly):
         Raises
         ------
         InvalidProblem
-            A bar has shrunk to a point and its law cannot bear that.
+            A bar has zero length and its law is singular there.
         """
         return self.summed(
             (self.area * self.stress(displacement) / self.length)[:, None] * self._bars_now(displacement)
@@ -309,7 +307,7 @@ class NonlinearTruss(ReadOnly):
         rows, columns = np.broadcast_arrays(places[:, :, None], places[:, None, :])
         triplets = (entries.ravel(), (rows.ravel(), columns.ravel()))
         K = sp.csc_array(sp.coo_array(triplets, shape=(self.dimension, self.dimension)))
-        return sp.csc_array((K + K.T) / 2)  # what meets at a node adds up in another order on the other side
+        return sp.csc_array((K + K.T) / 2)  # sums at a node are formed in another order on the other side
 
     def _read(self, displacement: ArrayLike) -> Array:
         u = real_vector("displacement", displacement, self.dimension)
@@ -323,7 +321,7 @@ class NonlinearTruss(ReadOnly):
         return self._apart(self.nodes) + self._apart(self._read(displacement))
 
     def _admitted(self, displacement: ArrayLike) -> Array:
-        """Return Green's strains, and refuse those that the law cannot bear."""
+        """Return Green's strains, or raise InvalidProblem for those outside the range of the law."""
         eps = self.strain(displacement)
         gone = np.flatnonzero(1 + 2 * eps <= 0)
         if gone.size and not self.bar_law.length_free:
@@ -362,12 +360,13 @@ class UpdatedTruss:
     ----------
     truss : NonlinearTruss
     volume : "isochoric" or "constant area"
-        A_n = A0 L0 / L or A0. Stresses are different, forces and tangents are not: the law is of the bar at rest.
+        A_n = A0 L0 / L or A0. Stresses differ, forces and tangents do not, as the law refers to the reference
+        configuration.
 
     Raises
     ------
     InvalidProblem
-        Another volume law; on use, a bar that has shrunk to a point.
+        Another volume law; on use, a bar of zero length.
 
     Notes
     -----

@@ -15,7 +15,7 @@ from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
 from contactqp.model.problem_data import is_whole
 
-# Where truncation (step^2) and rounding (eps / step) of a central difference meet.
+# The step at which truncation (step^2) and rounding (eps / step) of a central difference are equal.
 RELATIVE_STEP = float(np.cbrt(EPS))
 
 
@@ -79,7 +79,7 @@ class Plane:
 
 
 def points_near(obstacle: Obstacle, points: Any) -> Numbers:
-    """Return (p, dimension) points as an array, exact numbers as they are.
+    """Return (p, dimension) points as an array, without rounding exact numbers.
 
     Raises InvalidProblem: another shape, or no real numbers.
     """

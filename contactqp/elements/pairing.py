@@ -24,7 +24,7 @@ from contactqp.model.arrays import Array, Index, computes, own_floating_point
 from contactqp.model.problem_data import ReadOnly, is_whole
 from contactqp.model.summary import number
 
-# The part of the size of a body that no interference fit overlaps by.
+# The largest overlap of an interference fit relative to the size of the body.
 DEEP = 0.25
 # Cosine of the angle between the outward normals of a side and of an obstacle, from which they agree.
 AGREE = 0.5
@@ -32,13 +32,13 @@ CURE = "the normal of an obstacle points out of it, to where the body is"
 
 
 def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> str:
-    """Return in words that a contact starts deep inside of something; empty where it does not.
+    """Return a warning that a contact starts deep inside an obstacle, empty where it does not.
 
     Parameters
     ----------
     depth : float [length], how deep it starts; negative outside
     size : float [length], that of the body: its longest side, and in axial symmetry its diameter where that is longer
-    called : what the contact starts in
+    called : str, the name of the obstacle or body
     unit : of the length, for the text
     """
     if not depth > DEEP * size > 0:
@@ -49,9 +49,9 @@ def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> st
 
 
 def doubt_of_side(surface: Surface, gap: Array, normals: Array, called: str, unit: str = "") -> str:
-    """Return in words what is doubtful of the start of a side beside an obstacle; empty where nothing is.
+    """Return a warning about the initial position of a side beside an obstacle, empty where there is no doubt.
 
-    Where a side comes nearest to an obstacle, it faces it, but for an edge.
+    Where a side is nearest to an obstacle its normal must point to it, except at an edge.
 
     Parameters
     ----------
@@ -95,20 +95,20 @@ class Pairing(ReadOnly):
     tangent : ((d-1) p, n) sparse array
         E_T, contact-major [-].
     nodes : (p,) array of int
-        The node of each contact: its number in the surface, or its place among the points.
+        The node of each contact, by its number in the surface or its index among the points.
     points : (p, d) array
-        Where those nodes are [length].
+        The positions of those nodes [length].
     direction : (p, d) array
         The unit normal of each contact, out of the obstacle or of the master surface.
     unpaired : (q,) array of int
-        Nodes that have no contact of their own, ascending.
+        Nodes without a contact of their own, ascending.
     area : (p,) array, optional
-        What belongs to each contact of the surface, its thickness or full circle included [area]; None for bare points.
-        A weight, positive for every kind of facet; pressures come from `pressure`.
+        The tributary area of each contact, including thickness or full circle [area]; None for bare points. It is
+        positive for every kind of facet, but pressures follow from `pressure`.
     projection : NodalPressure, optional
-        How forces become pressures; None for bare points.
+        The projection of forces to pressures; None for bare points.
     notes : tuple of str
-        What the pressures of this pairing cannot be trusted for: facets too coarse for the gap between curved sides.
+        Limits of the pressures of this pairing, such as facets too coarse for the gap between curved sides.
     """
 
     normal: Any
@@ -135,8 +135,9 @@ class Pairing(ReadOnly):
     def pressure(self, normal_force: ArrayLike) -> Array:
         """Return the contact pressure at each node, positive in compression, (p,) [force / area].
 
-        It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), and of a
-        mortar the pressure field that it integrates. Where no force pulls, no pressure does. NaN forces are unknown.
+        It is the projection of the forces onto the trace of the surface (contactqp.elements.nodal_pressure), for a
+        mortar the pressure field that it integrates. Without tensile forces there are no tensile pressures. NaN marks
+        unknown forces.
 
         Raises
         ------
@@ -175,7 +176,8 @@ def pair(
 ) -> Pairing:
     """Pair every point with the obstacle: E_N u <= gap, with E_N = -n' and gap = signed distance of the point.
 
-    The distance is linearised where the point starts: displacements small against the obstacle's radii of curvature.
+    The distance is linearised at the initial position, for displacements small against the obstacle's radii of
+    curvature.
 
     Parameters
     ----------
@@ -240,7 +242,7 @@ def paired(
 def _numbers_of_unknowns(
     unknowns: ArrayLike | None, shape: tuple[int, ...], dimension: int | None
 ) -> tuple[Index, int]:
-    """Return the numbers of the points' unknowns in this shape, by default in order, and the count of all unknowns."""
+    """Return the indices of the points' unknowns in this shape, by default in order, and the number of all unknowns."""
     numbers = np.arange(np.prod(shape)).reshape(shape) if unknowns is None else read_whole("unknowns", unknowns)
     if numbers.shape != shape:
         raise InvalidProblem(f"unknowns: expected whole numbers of shape {shape}, got {numbers.dtype} {numbers.shape}")
@@ -291,7 +293,7 @@ def pair_scalar(
     unknowns: ArrayLike | None = None,
     dimension: int | None = None,
 ) -> Pairing:
-    """Hold a scalar field on one side of an obstacle at the nodes: s (u - height) >= 0, s = 1 above and -1 below.
+    """Pair a scalar field with an obstacle at the nodes: s (u - height) >= 0, s = 1 above and -1 below.
 
     E_N = -s at the node's unknown and gap = -s height, so that gap - E_N u = s (u - height). The multiplier is the
     force on the membrane at the node, positive along s [force]; a pressure is its projection onto the surface.
@@ -361,7 +363,7 @@ def contact_rows(
     ----------
     contact : (e,) array of int, the contact that an entry belongs to
     weight : (e,) array [-]
-    unknowns : (e, d) array of int, where the displacement of the entry's node stands in u
+    unknowns : (e, d) array of int, indices in u of the displacement of the entry's node
     normals : (e, d) array, n, unit vectors out of the obstacle
     tangents : (e, d-1, d) array, orthonormal
     shape : (contacts, n)
@@ -388,7 +390,7 @@ def _sum(entries: tuple[Array, Index, Index], shape: tuple[int, int]) -> Any:
 def count_unknowns(largest: int, dimension: int | None) -> int:
     """Return n: as stated, else one more than the largest number in use.
 
-    Raises InvalidProblem: unknowns are numbered beyond the stated dimension, or it is no whole number.
+    Raises InvalidProblem: an index beyond the stated dimension, or a dimension that is no integer.
     """
     if dimension is None:
         return largest + 1

@@ -1,4 +1,4 @@
-"""Reference elements: nodes, shape functions, quadrature and facets; and many elements at once in space.
+"""Reference elements with nodes, shape functions, quadrature and facets, and the geometry of batches of elements.
 
 Lines, quadrilaterals and hexahedra live on [-1, 1]^d, triangles and tetrahedra on the unit simplex. Node orders are
 VTK's: corners, middles of edges, centres of faces, centre. The shape functions are the nodal basis of a
@@ -11,7 +11,7 @@ stated polynomial space, so each kind is a list of nodes and a list of monomials
 All weights of the quadrature rules are positive and all points lie inside. The numbers are closed forms.
 
 In space elements come in batches of one kind, with Jacobians, gradients and normals. A facet is on the boundary of a
-mesh where it belongs to one element only; facets are found by the nodes that they have.
+mesh if it belongs to one element only; facets are identified by their nodes.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def tetrahedron(points: int) -> Quadrature:
     eight: below).
 
     The eight points have equal weights: one barycentric coordinate is 1/4 + 3 s, the others 1/4 - s, for two values of
-    s. Exact second and third moments ask for s1^2 + s2^2 = 1/40 and s1^3 + s2^3 = 1/480; then S = s1 + s2 solves
-    S^3 - 3 S / 40 + 1 / 240 = 0, and its middle root leaves all points inside.
+    s. Exact second and third moments require s1^2 + s2^2 = 1/40 and s1^3 + s2^3 = 1/480; then S = s1 + s2 solves S^3 -
+    3 S / 40 + 1 / 240 = 0, and its middle root leaves all points inside.
     """
     if points == 1:
         return _on_simplex([(1.0, (1 / 4,) * 4)])
@@ -118,7 +118,7 @@ class Reference(ReadOnly):
     name : str
         ``"quad8"`` and the like: shape and number of nodes.
     nodes : (n, d) array
-        Where the nodes lie on the reference shape.
+        The positions of the nodes on the reference shape.
     exponents : (n, d) array of int
         The monomials that span the shape functions.
     corners : int
@@ -208,7 +208,7 @@ def _element(
 ) -> Reference:
     corners = np.array(_CORNERS[shape], dtype=float)
     count, d = int(name.removeprefix(shape)), corners.shape[1]
-    # The cells whose centres carry nodes: edges, then faces, then the inside, as far as the kind has them.
+    # The parts whose centres are nodes: edges, then faces, then the interior, as far as the kind has such nodes.
     cells = list(_EDGES[shape]) + (_FACES["hex"] if name == "hex27" else [])
     cells += [tuple(range(len(corners)))] if name in ("quad9", "hex27") else []
     centres = [corners[list(cell)].mean(axis=0) for cell in cells][: count - len(corners)]
@@ -270,8 +270,8 @@ REFERENCES: dict[str, Reference] = {
 }
 KINDS = tuple(name for name, element in REFERENCES.items() if element.facet)
 
-# Numbers that are held at a time for a batch of elements (32 MB): more would leave the processor's cache and, for large
-# meshes, the memory.
+# The number of floats in memory for a batch of elements (32 MB), limited by the processor's cache and, for large
+# meshes, by memory.
 BATCH = 2**22
 
 
@@ -287,7 +287,7 @@ class Block(ReadOnly):
 
 
 def batches(block: Block, numbers: int) -> Iterator[Block]:
-    """Yield the block in pieces, so many elements at a time that `numbers` for each of them come to BATCH."""
+    """Yield the block in pieces of BATCH / `numbers` elements, where `numbers` floats are needed for each element."""
     step = max(1, BATCH // numbers)
     for start in range(0, len(block), step):
         yield Block(block.kind, block.nodes[start : start + step])
@@ -354,7 +354,7 @@ def at_rule(block: Block, points: Array, rule: Quadrature) -> Geometry:
 
 
 def sum_at_nodes(block: Block, values: Array, nodes: int) -> Array:
-    """Sum at each of the nodes what the elements (E, n, c) bring to it: (nodes, c)."""
+    """Return the sums (nodes, c) at the nodes of the elements' values (E, n, c)."""
     at = block.nodes.ravel()
     columns = [
         np.bincount(at, weights=values[..., column].ravel(), minlength=nodes) for column in range(values.shape[-1])
@@ -396,8 +396,8 @@ def boundary(blocks: Sequence[Block]) -> Index:
 
 
 def facet_keys(facets: Index, kind: str) -> Index:
-    """Return keys that tell facets apart whatever their turn: their smallest corners in ascending order, (p, 2) or
-    (p, 3).
+    """Return keys of facets independent of their orientation, their smallest corners in ascending order, (p, 2) or (p,
+    3).
 
     Two faces of a mesh that share three corners are one face, so three corners are enough for four.
     """
@@ -406,7 +406,7 @@ def facet_keys(facets: Index, kind: str) -> Index:
 
 
 def find(facets: Index, among: Index) -> Index:
-    """Return, for each row of `facets` (keys), its place in `among` (distinct keys), or -1."""
+    """Return, for each row of `facets` (keys), its index in `among` (distinct keys), or -1."""
     order, new = groups(np.concatenate([among, facets]))
     group = np.empty(len(order), dtype=np.int64)
     group[order] = np.cumsum(new) - 1

@@ -1,6 +1,6 @@
 """Rigid circles, spheres and cylinders, solid or as holes, and the paraboloid of Hertz's theory.
 
-Distances are to a centre or to an axis; the paraboloid has the gap that Hertz's theory measures, or the true distance.
+Distances are to a centre or to an axis; the paraboloid has the gap of Hertz's theory, or the true distance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from contactqp.linalg.measures import lengths
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
 
-# Closer to the centre than this part of the radius, every direction is as near as any other.
+# Closer to the centre than this part of the radius the normal is not defined.
 CENTRE = 1e-9
 Measure = Literal["axis", "normal"]
 # Newton's method from above on a convex function roughly takes a third off a cube, then doubles the digits.
@@ -197,7 +197,7 @@ class Paraboloid:
         How the gap is measured. "axis", the default: along the axis, gap = z + r^2 / (2 R) and n = axis everywhere.
         That is the gap and the pressure's direction of Hertz's theory (Johnson 1985, sections 3.1 and 4.1), so that
         solutions converge to his formulas; it is larger than the distance by the part r^2 / (2 R^2) of it.
-        "normal": the Euclidean distance to the surface and its unit normal, what a body on the flank feels.
+        "normal": the Euclidean distance to the surface and its unit normal, as for contact on the flank.
     """
 
     apex: Any
@@ -233,7 +233,7 @@ class Paraboloid:
         return distances
 
     def normals(self, points: Any) -> Array:
-        """Return the unit vectors that the gaps are measured along, (p, dimension).
+        """Return the unit vectors along which the gaps are measured, (p, dimension).
 
         Raises
         ------
@@ -283,7 +283,7 @@ class Paraboloid:
 def _largest_root(p: Array, q: Array) -> Array:
     """Return the largest root of x^3 + p x = q >= 0, by Newton's method from above, monotone as the cubic is convex.
 
-    It is found in units of x itself, in which no power leaves the floats.
+    The equation is scaled so that no power overflows.
     """
     size = np.maximum(np.cbrt(q), np.sqrt(np.abs(p)))
     size = np.ldexp(1.0, np.frexp(np.where(size > 0, size, 1.0))[1])

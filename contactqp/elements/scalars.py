@@ -1,4 +1,4 @@
-"""Numbers of elements: checked as a user gives them, and lengths that stay exact while they are rational."""
+"""Check numbers that the user gives, and compute lengths that stay exact where they are rational."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def real_array(what: str, value: Any) -> Array:
     Raises
     ------
     InvalidProblem
-        Rows of different lengths, masked arrays, or entries that are no real numbers; `what` is what they belong to.
+        Rows of different lengths, masked arrays, or entries that are no real numbers; `what` names them.
 
     >>> real_array("points", [[0, 1], [2, 3]]).tolist()
     [[0.0, 1.0], [2.0, 3.0]]
@@ -35,7 +35,7 @@ def real_array(what: str, value: Any) -> Array:
 def real_vector(what: str, value: Any, size: int) -> Array:
     """Return a copy of `size` real numbers, NaN included.
 
-    Raises InvalidProblem: another shape, or no real numbers; `what` is what they belong to.
+    Raises InvalidProblem: another shape, or no real numbers; `what` names them.
     """
     read = real_array(what, value)
     if read.shape != (size,):
@@ -49,7 +49,7 @@ def real_number(what: str, value: Any) -> float:
     Raises
     ------
     InvalidProblem
-        Anything else; `what` is what it belongs to.
+        Anything else; `what` names the number.
 
     >>> real_number("radius", 2)
     2.0
@@ -76,7 +76,7 @@ def positive_number(what: str, value: Any, kind: str) -> float:
     return float(number)
 
 
-# Moduli, tensions and thicknesses whose products and quotients doubles hold.
+# The range of moduli, tensions and thicknesses, in which products and quotients do not overflow.
 LEAST_MODERATE = 1e-120
 
 
@@ -109,9 +109,9 @@ _IRRATIONAL: ContextVar[Callable[[Any], Any]] = ContextVar("_IRRATIONAL", defaul
 
 @contextmanager
 def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
-    """Make irrational roots numbers of another kind than floats within a `with` block, as `root` makes them.
+    """Within a `with` block, compute irrational roots by `root` in place of floats.
 
-    The kind must compute with Fractions; formulas of elements then carry it along.
+    Its results must support arithmetic with Fractions; the formulas of elements then keep them.
     """
     token = _IRRATIONAL.set(root)
     try:
@@ -121,8 +121,7 @@ def irrational_roots(root: Callable[[Any], Any]) -> Iterator[None]:
 
 
 def square_root(square: Number) -> Number:
-    """Return the root of a number that is not negative: a Fraction where the number is the square of one, a float
-    otherwise.
+    """Return the square root of a nonnegative number, a Fraction where it is rational, else a float.
 
     >>> square_root(Fraction(25, 4)), square_root(Fraction(2))
     (Fraction(5, 2), 1.4142135623730951)
@@ -167,7 +166,7 @@ def unit_vector(vector: Any, what: str) -> Numbers:
 
 
 def _near_one(vector: Array) -> Array:
-    """Return a vector of floats times the power of two that brings it near one, so that no square leaves the floats."""
+    """Return a vector of floats scaled by a power of two to a size near one, so that no square overflows."""
     _, power = np.frexp(np.max(np.abs(vector), initial=0.0))
     scaled: Array = np.ldexp(vector, -power)
     return scaled

@@ -2,7 +2,7 @@
 
 All lengths are in [length]. `kind` is any kind of element of the shape's dimension. `grading` >= 1 is the ratio of the
 largest to the smallest element along a direction; sizes grow geometrically. Curved sides carry all their nodes on the
-exact curve. Every function raises InvalidProblem for a length, a number of divisions or a grading that is none.
+exact curve. Every function raises InvalidProblem for an invalid length, number of divisions or grading.
 
     rectangle, box                   sides left right (x), front back (y, 3D), bottom top (the last axis); a box may
                                      have a crowned bottom, a paraboloid
@@ -57,7 +57,7 @@ CORE, ROUNDNESS = 0.5, 0.5
 
 
 class Shape(Protocol[P]):
-    """A function for a shape: called, it returns the mesh; its `lattice` is the mesh before it is made."""
+    """A function that returns the mesh of a shape; its attribute `lattice` returns the description of that mesh."""
 
     lattice: Callable[P, Lattice]
 
@@ -104,7 +104,7 @@ def rectangle(
     grading : float
         The largest over the smallest element, at least 1.
     towards : sequence of str
-        The sides that elements get smaller towards; ``"middle"`` is the middle of the width.
+        The sides towards which elements get smaller; ``"middle"`` is the middle of the width.
     corner : (float, float)
         Lowest x and y [length].
 
@@ -421,9 +421,9 @@ class OGrid:
         return found
 
     def position(self, keys: Index) -> Array:
-        """Return round coordinates (N, round axes) of the unit disc or ball; the extrusion has no part in them.
+        """Return the coordinates (N, round axes) in the unit disc or ball, without the extrusion.
 
-        With q in [-1, 1]^d the place in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
+        With the position q in [-1, 1]^d in the core, the direction is d_a = tan(pi q_a / 4) (equal angles along the
         faces), e = d / |d|; the core is at CORE ((1 - ROUNDNESS) q + ROUNDNESS |q|_max e(q / |q|_max)), and the layers
         go along straight lines from there to e.
         """
@@ -445,7 +445,7 @@ class OGrid:
         return np.asarray(spacing(cells, self.grading, "low")[keys + 2 * n] * (cells // n) - 1)
 
 
-# Elements that are so much smaller than others leave no digits of the stiffness.
+# The largest grading; with smaller elements the stiffness would lose all its digits.
 STEEPEST = 1e10
 
 

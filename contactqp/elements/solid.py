@@ -1,10 +1,10 @@
-"""Elastic bodies: a mesh, a material, the stiffness matrix that follows, and the stresses of a displaced body.
+"""Elastic bodies: the stiffness matrix from a mesh and a material, and the stresses of a displaced body.
 
 All stresses are (xx, yy, zz, xy, yz, zx), VTK's order, tension positive [force / length^2]. In axial symmetry x is the
-radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy). Element matrices are assembled in a time
-that is linear in the number of elements, and symmetric to the last digit.
+radius, y the axis and zz the hoop stress; in plane strain zz is nu (xx + yy). Assembly takes linear time and gives
+matrices that are symmetric to the last digit.
 
-The flat membrane is the body of one unknown a node: a deflection under a constant tension, Poisson's equation.
+`Membrane` is flat, with one deflection per node under a constant tension (Poisson's equation).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem_data import ReadOnly, read_only, read_vector
 
-# Where the stresses of an element are most accurate: one point for linear simplices, else the Gauss points of full
-# integration of the linear stress field (Barlow 1976); a field of the linear kind through them gives the nodes.
+# The points at which stresses are most accurate: one for linear simplices, else the Gauss points that integrate a
+# linear stress field (Barlow 1976). Stresses are extrapolated from them to the nodes by linear shape functions.
 _SAMPLES = {
     "tri3": triangle(1), "tri6": triangle(3), "tet4": tetrahedron(1), "tet10": tetrahedron(4),
     "quad4": gauss(2, 2), "quad8": gauss(2, 2), "quad9": gauss(2, 2),
@@ -123,7 +123,7 @@ class Body(ReadOnly):
         return read_only(from_blocks(where, self.node_blocks(self.mesh.blocks, where)))
 
     def node_blocks(self, blocks: Sequence[Block], where: Pattern) -> Array:
-        """Return what these elements bring to K: its blocks (pairs, d, d), for the nodes as `where` numbers them."""
+        """Return the contribution of these elements to K as blocks (pairs, d, d), for the node pairs of `where`."""
         d = self.dimension
         entries = np.empty((d, d, len(where.slots)))
         at = 0
@@ -169,8 +169,8 @@ class Body(ReadOnly):
         return np.asarray(np.matmul(np.swapaxes(by_rows, 1, 2), DB.reshape(E, q * strains, columns)))
 
     def stiffness_rule(self, block: Block) -> Quadrature:
-        """Return the rule of full integration; in axial symmetry the fine one, because the radius stands in the
-        integrand.
+        """Return the rule of full integration, in axial symmetry the fine one, because the integrand contains the
+        radius.
         """
         return block.kind.fine_rule if self.model == "axisymmetric" else block.kind.rule
 
@@ -183,7 +183,7 @@ class Body(ReadOnly):
         return geometry, volume * measure(geometry.positions, self.model, self.thickness)
 
     def surface(self, name: str, *, first: int = 0) -> Surface:
-        """Return the named side, for pairing; `first` is the place of the body's first unknown in u.
+        """Return the named side, for pairing; `first` is the index in u of the body's first unknown.
 
         Raises
         ------
@@ -217,8 +217,7 @@ class Body(ReadOnly):
 
 
 def stress_at_nodes(body: Body, displacement: ArrayLike) -> Array:
-    """Return (N, 6) stresses at the nodes: continued from the best points of each element, then averaged over the
-    elements.
+    """Return (N, 6) stresses at the nodes, extrapolated from the most accurate points of each element and averaged.
 
     Raises InvalidProblem: the displacement is not (N d,).
     """
@@ -227,8 +226,8 @@ def stress_at_nodes(body: Body, displacement: ArrayLike) -> Array:
 
 
 def stress_sums(body: Body, displacement: ArrayLike, blocks: Sequence[Block]) -> tuple[Array, Array]:
-    """Return the stresses (N, 6) at the nodes, summed over these elements, and how many of them each node (N, 1) is
-    in.
+    """Return stresses (N, 6) at the nodes, summed over these elements, and the number of elements at each node (N,
+    1).
     """
     u = _displacement(body, displacement)
     N = len(body.mesh.points)
@@ -267,9 +266,7 @@ def stress_in(body: Body, block: Block, geometry: Geometry, u: Array) -> Array:
 
 
 def _continuation(kind: Reference) -> Array:
-    """Return the field of the linear kind through the sample points, at the nodes, (n, samples); constant for one
-    sample.
-    """
+    """Return the extrapolation from the sample points to the nodes by linear shape functions, (n, samples)."""
     samples = _SAMPLES[kind.name].points
     if len(samples) == 1:
         return np.ones((len(kind.nodes), 1))
@@ -286,14 +283,13 @@ def _displacement(body: Body, displacement: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """The pairs of nodes that meet in an element, as compressed rows, and where each pair of each element stands in
-    them.
+    """The pairs of nodes that share an element, as compressed rows, and the index there of each pair of each element.
 
     Attributes
     ----------
     indptr, indices : arrays of int, row i holds the nodes indices[indptr[i]:indptr[i + 1]], ascending
     slots : (total of E n^2,) array of int
-        The place in `indices` of every pair (first node, second node) of every element, element by element.
+        The index in `indices` of every pair (first node, second node) of every element, element by element.
     """
 
     indptr: Index
@@ -346,7 +342,7 @@ def blocks_of_nodes(where: Pattern, entries: Array) -> Array:
 def from_blocks(where: Pattern, blocks: Array) -> Any:
     """Return the (nodes d, nodes d) CSC matrix of these blocks; its rows are its columns."""
     size = blocks.shape[1] * (len(where.indptr) - 1)
-    # The sparse direct solvers take 32-bit indices, as SciPy does where they are enough.
+    # Sparse direct solvers need 32-bit indices, which SciPy uses where they suffice.
     whole = np.int32 if blocks.size < np.iinfo(np.int32).max else np.int64
     indices, indptr = where.indices.astype(whole), where.indptr.astype(whole)
     rows = sp.bsr_array((blocks, indices, indptr), shape=(size, size)).tocsr()
@@ -354,7 +350,9 @@ def from_blocks(where: Pattern, blocks: Array) -> Any:
 
 
 def _counting_sort(keys: Index, largest: int) -> Index:
-    """Return the stable order of whole numbers below `largest`: transposing one compressed row is a counting sort."""
+    """Return the stable order of integers below `largest`, by a counting sort, the transposition of one compressed
+    row.
+    """
     row = sp.csr_array((np.arange(len(keys)), keys, [0, len(keys)]), shape=(1, largest))
     order: Index = row.tocsc().data
     return order
@@ -420,11 +418,11 @@ class Membrane:
         return assemble(where, np.concatenate(entries)[np.newaxis, np.newaxis])
 
     def rigid_motions(self) -> Array:
-        """Return the one motion that costs no energy, all nodes alike, (N, 1)."""
+        """Return the one motion without energy, the same deflection of all nodes, (N, 1)."""
         return np.ones((self.size, 1))
 
     def areas(self) -> Array:
-        """Return the area that belongs to each node, (N,) [length^2].
+        """Return the tributary area of each node, (N,) [length^2].
 
         Raises
         ------
@@ -435,7 +433,7 @@ class Membrane:
 
     @property
     def surface(self) -> Surface:
-        """Return its elements as facets in space, with the nodes' only unknowns, along z.
+        """Return the elements as facets in space, with the unknowns of the nodes along z.
 
         Raises
         ------

@@ -1,6 +1,7 @@
-"""Several bodies in one u, held by supports and loaded: the system of the free unknowns, and its contacts.
+"""Assemble several bodies with supports and loads into the system of the free unknowns and its contact problem.
 
-Prescribed displacements go to the right-hand side of K u = f and, in contacts, to the gap.
+Prescribed displacements are moved to the right-hand side of K u = f and to the gaps. `System.problem` is the place
+where K, f and pairings meet; a formulation of contact that changes K or adds unknowns is added there.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_coefficient
 
 Part = Body | Membrane
-# Two supports mean the same displacement if theirs differ by less, relatively: fields are computed side by side.
+# Relative difference up to which two supports prescribe the same displacement to a node.
 SAME_DISPLACEMENT = 1e-12
 EVERYTHING_HELD = "structure: the supports hold every unknown; expected some that are free"
 _KINDS = {"xy": "2D", "xyz": "3D", "z": "membrane"}
 
-# Of the coordinates that a gap is a difference of, what their rounding may leave of it.
+# The rounding error of a gap, relative to the coordinates of which it is a difference.
 GAPS_ROUND = 16 * EPS
 
 
@@ -48,7 +49,7 @@ class Support:
     axis : int or str
         0, 1 or 2, or "x", "y" or "z"; 0 or "z" for the one axis of a membrane.
     value : float, or a function of (p, d) points that returns (p,)
-        The displacement [length], of each node where it starts; 0 holds the nodes.
+        The displacement [length], for a function at the initial positions; 0 fixes the nodes.
     """
 
     body: str
@@ -60,7 +61,7 @@ class Support:
 @checks
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Bodies side by side: their unknowns stand in u body after body, within a body node by node.
+    """Several bodies with unknowns in one vector u, body after body, within a body node by node.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ class Structure:
         return body
 
     def first(self, name: str) -> int:
-        """Return the place in u of the body's first unknown."""
+        """Return the index in u of the body's first unknown."""
         names = [body.name for body in self.bodies]
         return sum(body.size for body in self.bodies[: names.index(self.body(name).name)])
 
@@ -145,9 +146,7 @@ class Structure:
         )
 
     def rigid_motions(self) -> Array:
-        """Return the motions of every body that cost it no energy, side by side in the same columns, (n, q)
-        [length].
-        """
+        """Return motions without energy, the k-th of every body combined in column k, (n, q) [length]."""
         of_bodies = [body.rigid_motions() for body in self.bodies]
         motions = np.zeros((self.size, max(part.shape[1] for part in of_bodies)))
         for body, part in zip(self.bodies, of_bodies, strict=True):
@@ -173,8 +172,7 @@ class Structure:
         Raises
         ------
         InvalidProblem
-            An unknown body or set, an axis the body has not, two supports that ask one node for two displacements,
-            everything held.
+            An unknown body or set, an axis that the body does not have, contradicting supports, or no free unknown.
         """
         load = np.zeros(self.size)
         for acting in loads:
@@ -194,7 +192,7 @@ class Structure:
         Raises
         ------
         InvalidProblem
-            An unknown body or set, an axis the body has not, two supports that ask one node for two displacements.
+            An unknown body or set, an axis that the body does not have, or contradicting supports.
         """
         prescribed = np.full(self.size, np.nan)
         for support in supports:
@@ -208,7 +206,7 @@ class Structure:
             values = field_values(f"support of {body.name!r}", support.value, body.mesh.points[nodes], ())
             places = self.first(body.name) + d * nodes + axis
             before = prescribed[places]
-            size = np.max(abs(values), initial=np.nanmax(abs(before), initial=0.0))  # a sine may end at 1e-16
+            size = np.max(abs(values), initial=np.nanmax(abs(before), initial=0.0))  # a sine may give 1e-16
             other = np.flatnonzero(abs(before - values) > SAME_DISPLACEMENT * size)
             if other.size:
                 i = other[0]
@@ -224,8 +222,7 @@ class Structure:
 @checks
 @dataclass(frozen=True, eq=False)
 class System:
-    """The system K u = f on the free unknowns of a structure; prescribed displacements have gone to the right-hand
-    side.
+    """The system K u = f on the free unknowns of a structure, with prescribed displacements on the right-hand side.
 
     Parameters
     ----------
@@ -246,7 +243,7 @@ class System:
 
     @cached_property
     def free(self) -> Index:
-        """Return the free unknowns: free[j] is the place in the u of all unknowns of unknown j of this system."""
+        """Return the free unknowns: free[j] is the index among all unknowns of unknown j of this system."""
         return np.flatnonzero(np.isnan(self.prescribed))
 
     @cached_property
@@ -278,7 +275,7 @@ class System:
         return u
 
     def support_forces(self, displacement: ArrayLike, contact_forces: ArrayLike | None = None) -> Vector:
-        """Return what the supports do to the bodies: K u + E'l - f at supported unknowns, 0 at the others: (n,)
+        """Return the support forces on the bodies, K u + E'l - f at supported unknowns and 0 at the others, (n,)
         [force].
 
         `displacement` is the u of all unknowns, `contact_forces` E_N' l_N (+ E_T' l_T) on all unknowns.
@@ -307,11 +304,11 @@ class System:
         pairings : sequence of Pairing, or one
             Rows over all unknowns. Contacts between supported nodes, which no free unknown moves, are left out.
         friction : float or array with one coefficient for each row of all pairings, optional
-            With it the tangent rows come in, and slip starts from what the supports prescribe.
+            With it the problem has tangential rows, and slip is counted from the prescribed displacements.
         units : Units or mapping, optional
             As ContactProblem takes them.
         names : sequence of str, optional
-            What the rows of all pairings are called; by default ``contact j``, j the place among all rows.
+            Names of the rows of all pairings, by default ``contact j`` with the index j among all rows.
 
         Raises
         ------
@@ -342,15 +339,15 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """What a problem was made of, which pictures draw."""
+    """The bodies and pairings of a problem, for pictures of its solution."""
 
     system: System
     pairings: tuple[Pairing, ...]
 
     def under(self, load: Vector) -> System:
-        """Return the system with loads (f,) on its free unknowns as a problem of it states them [force].
+        """Return the system with another load (f,) on its free unknowns [force].
 
-        A multiple of its own load is one on held unknowns too, where others leave what is.
+        If it is a multiple of the system's load, the load on supported unknowns is scaled likewise, else unchanged.
         """
         if np.array_equal(load, self.system.f):
             return self.system
@@ -369,7 +366,7 @@ class FreeContacts:
 
     Attributes
     ----------
-    kept : (m,) array of int, their places among the rows of all pairings
+    kept : (m,) array of int, their indices among the rows of all pairings
     normal : (m, f) sparse array
     gap : (m,) array, gap - E_N u_prescribed [length]
     names : list of str
@@ -436,7 +433,7 @@ def free_contacts(
 
 
 def _distances(pairings: Sequence[Pairing]) -> Vector:
-    """Return how far from the origin the nodes of each contact lie (p,), which its gap is a difference of [length]."""
+    """Return the distance from the origin of the nodes of each contact (p,), for the rounding of gaps [length]."""
     far = [np.full(len(pairing.gap), np.max(abs(pairing.points), initial=0.0)) for pairing in pairings]
     return np.concatenate([np.zeros(0), *far])
 

@@ -1,7 +1,7 @@
-"""A part of a body's boundary that may touch something: nodes, facets, and where their displacements stand in u.
+"""A part of a body's boundary for contact: nodes, facets, and the indices of their displacements in u.
 
-Facets have reference coordinates, shape functions with their derivatives, normals and Gauss points. A surface that
-cannot be worked with is refused by one error that names the surface, and the facet or the node.
+Facets have reference coordinates, shape functions with derivatives, normals and Gauss points. An invalid surface raises
+InvalidProblem, which names the surface and the facet or node.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _LINE = np.array([[-1.0], [1.0]])
 _TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
-# A facet whose surface element somewhere is below this part of its diameter squared (2D: of its diameter) is none.
+# A facet is degenerate if its surface element is below this part of its diameter squared (2D: of its diameter).
 FLAT = 1e-10
-# Lengths of a surface, whose fourth powers are squares of areas.
+# The range of lengths of a surface, whose fourth powers must not overflow.
 SMALLEST, LARGEST = 1e-75, 1e75
 
 
@@ -44,7 +44,7 @@ class Surface(ReadOnly):
         corners, counter-clockwise seen from outside (k = 3 or 4), then the middles of the edges between them in the
         same order (k = 6 or 8), then the centre (k = 9).
     unknowns : (N, d) array of int
-        unknowns[i, a] is the place of node i's displacement along axis a in u.
+        unknowns[i, a] is the index in u of node i's displacement along axis a.
     name : str
         Used in every message.
     thickness : float
@@ -55,7 +55,7 @@ class Surface(ReadOnly):
     Raises
     ------
     InvalidProblem
-        Arrays that are none of real or of whole numbers, a thickness that is not positive.
+        Arrays of other types than real numbers or integers, a thickness that is not positive.
     """
 
     points: Array
@@ -89,7 +89,7 @@ class Surface(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class FacetKind:
-    """A facet's reference element: N_j is one at node j and zero at the others, a sum of the monomials `powers`.
+    """The reference element of facets: N_j is a sum of the monomials `powers`, one at node j and zero at the others.
 
     Parameters
     ----------
@@ -141,9 +141,7 @@ class FacetKind:
         return values
 
     def _combined(self, monomials: Array) -> Array:
-        """Combine monomials to shape functions, without BLAS: its threads take longer to start than these few
-        columns to multiply.
-        """
+        """Combine monomials to shape functions without BLAS, whose threads take longer to start than the product."""
         values: Array = np.einsum("qm,mk->qk", monomials, self._coefficients)
         return values
 
@@ -163,7 +161,7 @@ class FacetKind:
         return np.moveaxis(np.array(rows), (0, 1), (2, 3))
 
     def inside(self, xi: Array, tolerance: float) -> Mask:
-        """Say whether the points lie in the reference element, or outside it by at most `tolerance`, (q,)."""
+        """Return whether the points lie in the reference element, or outside it by at most `tolerance`, (q,)."""
         if self.triangular:
             within: Mask = (xi.min(axis=1) >= -tolerance) & (xi.sum(axis=1) <= 1 + tolerance)
         else:
@@ -218,7 +216,7 @@ KINDS = {
 def kind_of(surface: Surface) -> FacetKind:
     """Return the kind of a surface's facets.
 
-    Raises InvalidProblem: no facet of this dimension has so many nodes.
+    Raises InvalidProblem: no kind of facet in this dimension has that number of nodes.
     """
     key = (surface.points.shape[1], surface.facets.shape[1])
     if key not in KINDS:
@@ -298,7 +296,7 @@ def check_surface(surface: Surface) -> None:
 
 
 def check_apart(slave: Surface, master: Surface) -> None:
-    """Refuse two surfaces of different dimension, or that share a node: it cannot touch itself.
+    """Refuse two surfaces of different dimension, or that share a node, which cannot touch itself.
 
     Raises
     ------
@@ -316,7 +314,7 @@ def check_apart(slave: Surface, master: Surface) -> None:
 
 
 def _refuse_two_counts(slave: Surface, master: Surface) -> None:
-    """Refuse surfaces of two bodies that each count their unknowns from zero: the same unknown is at two places."""
+    """Refuse surfaces that use the same unknowns for different nodes, as when both bodies count from zero."""
     _, mine, theirs = np.intersect1d(slave.unknowns[:, 0], master.unknowns[:, 0], return_indices=True)
     if not np.array_equal(slave.points[mine], master.points[theirs]):
         raise InvalidProblem(
@@ -326,7 +324,7 @@ def _refuse_two_counts(slave: Surface, master: Surface) -> None:
 
 
 def check_distances(reach: float | None, overlap: float | None) -> None:
-    """Refuse a reach that is not positive, or an overlap that is negative; None is neither.
+    """Refuse a reach that is not positive, or an overlap that is negative; None is allowed.
 
     Raises
     ------
@@ -339,7 +337,7 @@ def check_distances(reach: float | None, overlap: float | None) -> None:
 
 
 def _refuse_beyond_range(surface: Surface) -> None:
-    """Refuse lengths whose fourth powers, squares of areas, are beyond the floats."""
+    """Refuse lengths whose fourth powers, squares of areas, would overflow."""
     corners = surface.points[surface.facets]
     size = np.abs(corners - corners[:, :1]).max(axis=(1, 2))
     far, flat = np.abs(corners).max(axis=(1, 2)), np.where(size > 0, size, SMALLEST)
@@ -354,7 +352,7 @@ def _refuse_beyond_range(surface: Surface) -> None:
 
 
 def _refuse_degenerate(surface: Surface) -> None:
-    """Refuse facets whose surface element changes its side or vanishes at a Gauss point or a node."""
+    """Refuse facets whose surface element changes sign or vanishes at a Gauss point or a node."""
     kind = kind_of(surface)
     positions = surface.points[surface.facets]
     middle = normal_vectors(
