@@ -1,7 +1,6 @@
-"""The exception tree. Every message names what came, what was expected, and where.
+"""The exceptions of the package. Every message states what was expected, what came, and where.
 
-An error carries what it is given, a solution or a candidate of whatever kind, and knows the class of none: this module
-imports nothing of the package.
+Errors may carry a solution, a candidate or a history of any class; this module imports nothing of the package.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from typing import Any
 
 
 class ContactQPError(Exception):
-    """Every error that contactqp raises on purpose; pickled and copied with all that it carries.
+    """The base class of all errors of contactqp; pickling and copying keep their attributes.
 
-    `code` is its kind in one word, the same in every version: `--json` prints it for programs. Of a load path or a
-    motion that ended, `history` is the `History` until then.
+    `code` names the kind of error in one word, which does not change between versions and is printed by `--json`.
+    `history` is the completed part of a load path or motion that failed.
     """
 
     code = "error"
@@ -31,10 +30,10 @@ class ContactQPError(Exception):
         super().__init__(one_line(message) if isinstance(message, str) else message, *others)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what pickle and copy make it of again: its class, its message and its attributes.
+        """Return the class, message and attributes from which pickle and copy restore the error.
 
-        An exception's own way calls the class with the message alone, which fails in the process that reads it where
-        the class asks for more; a `multiprocessing.Pool` then waits for ever.
+        By default an exception is restored by calling its class with the message alone. Where the class takes more
+        arguments this fails in the receiving process, and a `multiprocessing.Pool` then waits for ever.
         """
         return _made_again, (type(self), self.args), *super().__reduce__()[2:]
 
@@ -46,7 +45,7 @@ class InvalidProblem(ContactQPError, ValueError):
 
 
 class WrongCall(InvalidProblem, TypeError):
-    """A call that does not fit the function's signature: an argument that is not there, one too many, one missing."""
+    """A call that does not fit the function's signature: an unknown, surplus or missing argument."""
 
 
 class SceneError(ContactQPError, ValueError):
@@ -58,7 +57,7 @@ class SceneError(ContactQPError, ValueError):
 class NoEquilibrium(ContactQPError):
     """No displacement satisfies the constraints, or the load drives a motion that nothing holds back.
 
-    `proof` is what proves it, where that is one vector: a `contactqp.linalg.existence.Conflict` or `DrivenMotion`.
+    `proof` is a `contactqp.linalg.existence.Conflict` or `DrivenMotion` where one vector proves it, else None.
     """
 
     code = "no-equilibrium"
@@ -75,9 +74,10 @@ class SeveralEquilibria(ContactQPError):
 
 
 class NotConverged(ContactQPError):
-    """A method stopped before it had an answer; `history` holds what it did, `solution` its last iterate if any.
+    """A method stopped before it had an answer; `history` records its iterations, `solution` is its last iterate if
+    any.
 
-    Of a path or a motion `history` is the `History` until then.
+        For a path or a motion, `history` is its completed part, a `History`.
     """
 
     code = "not-converged"
@@ -120,7 +120,7 @@ class BackendFailed(ContactQPError):
 
 
 class Unsupported(ContactQPError):
-    """The method exists and cannot do this: the message names the method and the feature."""
+    """The method or feature exists but does not support this; the message names both."""
 
     code = "unsupported"
 
@@ -130,11 +130,11 @@ class StartWarning(UserWarning):
 
 
 class TimeStepWarning(UserWarning):
-    """The time step of a motion is too long for what happens in it; the message has both times."""
+    """The time step of a motion is too long for its contacts; the message states the step and the time to resolve."""
 
 
 def warn(message: str, category: type[Warning]) -> None:
-    """Warn at the line that called this package, wherever in it the doubt arose."""
+    """Issue a warning that points to the line of the caller outside of this package."""
     package = os.path.dirname(__file__) + os.sep
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(package):
@@ -143,14 +143,14 @@ def warn(message: str, category: type[Warning]) -> None:
 
 
 def _made_again(kind: type[ContactQPError], args: tuple[Any, ...]) -> ContactQPError:
-    """Return an exception without its attributes, which follow."""
+    """Return an exception without its attributes, which pickle sets afterwards."""
     error = kind.__new__(kind, *args)
-    if isinstance(error, ImportError):  # which keeps its message apart from its arguments
+    if isinstance(error, ImportError):  # ImportError stores its message separately
         ImportError.__init__(error, *args)
     return error
 
 
-# What to do with something else, by its type.
+# What to do with a value of another type, by the name of that type.
 CURES = {
     "Surface": "; two bodies are paired by pair_mortar(slave, master) or pair_node_to_segment(slave, master)",
     "Scene": "; contactqp.run(scene) solves a scene, scene.problem() is its problem",
@@ -164,18 +164,18 @@ CURES = {
 
 
 def refuse_other(who: str, value: object, *kinds: type) -> None:
-    """Raise InvalidProblem where a value is of none of the kinds."""
+    """Raise InvalidProblem unless a value is an instance of one of the kinds."""
     if not isinstance(value, kinds):
         expected = " or ".join(kind.__name__ for kind in kinds)
         raise InvalidProblem(f"{who}: expected a {expected}, got {type(value).__name__}{cure_of(value)}")
 
 
 def cure_of(value: object) -> str:
-    """Return what a user may do with a value that was given in the wrong place."""
+    """Return a hint on where a value of this type belongs."""
     return CURES.get("str" if isinstance(value, os.PathLike) else type(value).__name__, "")
 
 
-# Words that are longer, paths and names apart, are data of a user's and tell nothing.
+# Words longer than any path or name are the user's data and are cut.
 LONGEST_WORD = 300
 _LINE_BREAKS, _LONG_WORDS = re.compile(r"\s*[\r\n]\s*"), re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
@@ -193,7 +193,7 @@ _AS_WRITTEN = (str, bytes, Number, Decimal, type(None), list, tuple, dict, set, 
 
 
 def shown(value: object) -> str:
-    """Return what a message calls a value, in one short line: numbers and texts as Python writes them, else its type.
+    """Return a value as a short text for messages: numbers and texts as Python writes them, else the type.
 
     >>> shown(0.5), shown([1, 2]), shown("x" * 100)[:12], shown(BackendMissing)
     ('0.5', '[1, 2]', "'xxxxxxxxxxx", 'the class BackendMissing')
@@ -211,7 +211,7 @@ def shown(value: object) -> str:
 
 
 def counted(what: str, count: int) -> str:
-    """Return how many there are of something.
+    """Return a number with a noun in singular or plural.
 
     >>> counted("contact", 1), counted("contact", 2)
     ('1 contact', '2 contacts')
@@ -220,7 +220,7 @@ def counted(what: str, count: int) -> str:
 
 
 def counts(**numbers: int) -> str:
-    """Return how many there are of several things.
+    """Return several numbers with their nouns.
 
     >>> counts(unknown=3, contact=1)
     '3 unknowns, 1 contact'
@@ -228,7 +228,7 @@ def counts(**numbers: int) -> str:
     return ", ".join(counted(what, count) for what, count in numbers.items())
 
 
-# What the symbols of textbooks, of QP solvers and of other codes are called here, the most likely first.
+# The names in this package of the symbols of textbooks, QP solvers and other codes, the most likely first.
 SYMBOLS = {
     "K": ("stiffness",),
     "P": ("stiffness",),
@@ -260,7 +260,7 @@ SYMBOLS = {
 
 
 def no_argument(unknown: Sequence[str], names: Sequence[str]) -> str:
-    """Return the message about arguments that a function has not.
+    """Return the message about unknown arguments of a function.
 
     >>> no_argument(["K"], ["stiffness", "load"])
     "no argument is called 'K' (do you mean 'stiffness'?)"
@@ -269,7 +269,7 @@ def no_argument(unknown: Sequence[str], names: Sequence[str]) -> str:
 
 
 def meant(unknown: Sequence[str], names: Sequence[str]) -> str:
-    """Return the known names that are nearest to unknown ones, in words; all of them where none is near.
+    """Return a text with the names nearest to unknown ones, or with all names where none is near.
 
     >>> meant(["norml"], ["load", "normal"]), meant(["xyz"], ["load", "normal"])
     (" (do you mean 'normal'?)", '; its arguments: load, normal')

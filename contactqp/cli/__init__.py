@@ -1,4 +1,4 @@
-"""The command line: arguments and exit codes. Commands import what they need when they are called."""
+"""The command line: arguments and exit codes. Each command imports what it needs when it is called."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _exit_code(error: ContactQPError) -> int:
 def _insist(ignored: sys.UnraisableHookArgs) -> None:
     """Repeat a Ctrl-C that Python ignored, as it does in a callback of an import."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
-        # From another thread, a moment later: here it would be ignored again.
+        # It is repeated from another thread, as it would be ignored here again.
         threading.Timer(ONCE_MORE, _thread.interrupt_main).start()
     else:
         sys.__unraisablehook__(ignored)
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     With --json it is an object on the standard output as well: `error`, the line; `code`, its kind; `exit`.
     """
-    if sys.stderr is None:  # closed by whoever started this process
+    if sys.stderr is None:  # the parent process closed it
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  for as long as the process lives
     if sys.stdout is None:
         print("contactqp: the standard output is closed", file=sys.stderr)
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _WhileRead:
-    """A standard output whose reader may leave before all is printed: the verdict, and the exit code, are the same."""
+    """A standard output that stays usable when its reader closes the pipe, so that the exit code does not change."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -144,10 +144,10 @@ class _WhileRead:
 
 
 def _keep_for_good(arguments: Sequence[str] | None) -> None:
-    """Leave what there is out of the search for garbage in a process of the command's own, which ends soon.
+    """Exclude all existing objects from garbage collection in the process of a command, which ends soon.
 
-    Looking through all classes and functions that were imported, at the latest when Python ends, takes a quarter of the
-    time of a small command.
+    Scanning all imported classes and functions, at the latest when Python ends, takes a quarter of the time of a small
+    command.
     """
     if arguments is None:
         gc.freeze()
@@ -157,14 +157,14 @@ INTERRUPTION = Ending(INTERRUPTED, "interrupted", error="interrupted")
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Return whether a Ctrl-C is behind an error, as where a compiled module is interrupted while it is imported."""
+    """Return whether a Ctrl-C caused an error, as when the import of a compiled module is interrupted."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def _ended(arguments: Sequence[str] | None) -> Ending:
-    """Run the command, and return how it ends in this process."""
+    """Run the command, and return its ending in this process."""
     with warnings.catch_warnings():
         told: set[str] = set()
         warnings.simplefilter("always", StartWarning)
@@ -173,7 +173,7 @@ def _ended(arguments: Sequence[str] | None) -> Ending:
 
 
 def _warn(others: Callable[..., None], told: set[str], message: Warning | str, kind: type[Warning], *more: Any) -> None:
-    """Print a warning of a contact's start as one line, once; others are left to Python."""
+    """Print each warning about the start of a contact once, as one line; other warnings are left to Python."""
     if not issubclass(kind, StartWarning):
         others(message, kind, *more)
     elif str(message) not in told and speakers.speaks:
@@ -198,7 +198,7 @@ def _run(arguments: Sequence[str] | None) -> Ending:
         return Ending(BAD_INPUT)
     except (click.Abort, KeyboardInterrupt):
         return INTERRUPTION
-    except BrokenPipeError:  # the reader of our output has left, as in `contactqp methods | head`
+    except BrokenPipeError:  # the reader closed the pipe, as in `contactqp methods | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:  # a name too long, no permission, a full disk
         return Ending(BAD_INPUT, one_line(f"{error.filename or 'file'}: {error.strerror or error}"), error="file")
@@ -209,7 +209,7 @@ def _run(arguments: Sequence[str] | None) -> Ending:
             return Ending(NOT_MET, f"{explained(error)}; a coarser mesh takes less", error="memory")
         if not speakers.asked:
             raise
-        # The other ranks wait for this one: it must not go before they know.
+        # The other ranks wait for this one, which must not end before they are told.
         bug = not isinstance(error, MemoryError | RuntimeError)  # PETSc's errors are RuntimeErrors
         return Ending(NOT_MET, explained(error), traceback.format_exc() if bug else "", "bug" if bug else "engine")
     return Ending(0)

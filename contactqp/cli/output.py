@@ -1,8 +1,9 @@
-"""The output of commands and their exit codes, also of one run on several ranks; and what the tab key offers.
+"""Print the output of commands and determine exit codes, also on several ranks, and complete arguments for the shell.
 
-On several ranks one of them prints, and all end with one code. A rank that fails while the others wait for it in some
-exchange would leave them waiting. So each rank comes to `Speakers.settle` at its end; one that has failed waits there a
-moment for the others, which may have failed with it. If they do not come, it prints why it failed and has MPI end them.
+On several ranks one of them prints, and all end with the same code. A rank that fails while the others wait in a
+collective operation would leave them waiting. Therefore every rank calls `Speakers.settle` at its end. A failed rank
+waits there for a moment, as the others may have failed too; if they do not arrive, it prints its error and aborts them
+by MPI.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 # Width of what is printed to a file or a pipe, unless COLUMNS says otherwise [columns].
 NARROW = 80
-# The same of exact numbers, whose digits stay in one line.
+# The width for exact numbers, whose digits stay in one line.
 OF_EXACT_NUMBERS = 200
 # Environment variables with the number of a process under launchers of MPI: OpenMPI, MPICH and Slurm.
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "SLURM_PROCID")
@@ -43,10 +44,10 @@ NOT_MET, BAD_INPUT, NOT_INSTALLED, INTERRUPTED = 1, 2, 3, 130
 
 
 def console(heard: bool = True, terminal: bool | None = None, piped: int = NARROW) -> Console:
-    """Return the console that tables go to; with `heard` False they are made and dropped.
+    """Return the console that tables are printed to; with `heard` False the output is discarded.
 
-    `terminal` says of another process, which prints what is made here, whether it has one. `piped` is the width of
-    what goes to no terminal, unless COLUMNS says otherwise.
+    `terminal` states whether the process that finally prints has a terminal, where that is another one. `piped` is the
+    width of output without a terminal, unless COLUMNS is set.
     """
     from rich.console import Console
 
@@ -54,7 +55,7 @@ def console(heard: bool = True, terminal: bool | None = None, piped: int = NARRO
         return Console(file=io.StringIO(), width=_width(terminal), highlight=False, force_terminal=terminal)
     if not heard:
         return Console(file=io.StringIO(), width=NARROW)
-    if launched_rank() is not None:  # the launcher passes it on, whatever stands at its own end
+    if launched_rank() is not None:  # the launcher forwards it, terminal or not
         return Console(width=_width(False), highlight=False, force_terminal=False)
     return Console(width=None if sys.stdout.isatty() else _width(False, piped), highlight=False)
 
@@ -68,22 +69,22 @@ def _width(terminal: bool, piped: int = NARROW) -> int:
 
 
 def launched_rank() -> int | None:
-    """Return the rank of this process by its launcher; None without one."""
+    """Return the rank of this process according to its launcher, None without one."""
     found = (os.environ.get(name, "") for name in LAUNCHERS)
     return next((int(rank) for rank in found if rank.isdigit()), None)
 
 
 def print_json(data: Any) -> None:
-    """Print plain data as JSON, which has no numbers beyond those of doubles: null stands for them."""
+    """Print plain data as JSON, with null for numbers that are not finite doubles."""
     try:
         text = json.dumps(data, indent=2, default=str, allow_nan=False)
-    except ValueError:  # the energy of an answer of 1e200, for one
+    except ValueError:  # such as the energy of an answer of 1e200
         text = json.dumps(_in_range(data), indent=2, default=str, allow_nan=False)
     click.echo(text)
 
 
 def _in_range(data: Any) -> Any:
-    """Return the same data with None in place of infinite and undefined numbers."""
+    """Return the data with None in place of infinite and undefined numbers."""
     if isinstance(data, dict):
         return {name: _in_range(value) for name, value in data.items()}
     if isinstance(data, list | tuple):
@@ -99,7 +100,7 @@ def complain(message: str) -> None:
 def print_error(message: str, code: str, ending: int) -> None:
     """Print, as JSON, an error that ends a command: its line, its kind and the exit code.
 
-    Where nobody reads it or the disk is full, the line on the standard error is all there is.
+    If it cannot be written, only the line on the standard error remains.
     """
     try:
         print_json({"error": " ".join(message.split()), "code": code, "exit": ending})
@@ -108,15 +109,15 @@ def print_error(message: str, code: str, ending: int) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-# Seconds after which a command says where it is, and between two such words.
+# Seconds until a command shows its progress, and between two updates.
 LONG, BETWEEN = 2.0, 0.2
 
 
 @contextmanager
 def whereabouts() -> Iterator[Callable[[str], None] | None]:
-    """Yield what shows a few words on a terminal, in one line of the standard error that is taken away at the end.
+    """Yield a function that shows the progress in one line of the standard error, which is erased at the end.
 
-    Nothing is shown of what is done at once, and None is yielded where the standard error is no terminal.
+    Fast work shows nothing. None is yielded where the standard error is no terminal.
     """
     if not sys.stderr.isatty():
         yield None
@@ -168,9 +169,9 @@ def units_option(of: str) -> Callable[[Any], Any]:
 
 
 T = TypeVar("T")
-# Seconds that ranks which fail together may be apart; later ones wait longer, so that one of them speaks.
+# Seconds within which ranks that fail together are expected; higher ranks wait longer, so that only one prints.
 GRACE, APART, MOST_APART = 2.0, 0.1, 10
-# Seconds between two checks whether all ranks have come.
+# Seconds between two checks whether all ranks have arrived.
 PAUSE = 0.01
 # PETSc's error code where it gets no memory, and the function that allocates it, whatever code it fails with.
 PETSC_MEMORY, PETSC_ALLOCATION = 55, "PetscMalloc"
@@ -187,7 +188,7 @@ class Ending:
 
 
 class Speakers:
-    """The ranks of this run, which one of them prints for, once an engine with several ranks is asked for."""
+    """The ranks of this run, of which one prints, once an engine with several ranks is used."""
 
     def __init__(self) -> None:
         self.forget()
@@ -199,7 +200,7 @@ class Speakers:
         """
         self.asked, self.as_json = False, as_json
         self._ranks: Ranks | None = None
-        self._closing: Any = None  # a communicator for the end alone, apart from those of the solvers
+        self._closing: Any = None  # a communicator of its own for the end of the run
 
     def start(self, engine: str) -> None:
         """Start MPI if the engine needs it.
@@ -231,7 +232,7 @@ class Speakers:
         return action() if self._ranks is None else cast(T, self._ranks.broadcast(self._ranks.on_first_rank(action)))
 
     def settle(self, ending: Ending) -> int:
-        """Print the messages once and return the exit code of all ranks, or end the ranks that do not come."""
+        """Print the messages once and return the exit code of all ranks, or abort the ranks that do not arrive."""
         if self._ranks is None:
             self._settle_unstarted(ending)
             return ending.code
@@ -246,7 +247,7 @@ class Speakers:
         return endings[failed[0]].code
 
     def meet(self, ending: Ending) -> None:
-        """Wait for all ranks; one that has something to say ends them instead, where they do not come soon."""
+        """Wait for all ranks; a rank with a message aborts them if they do not arrive soon."""
         if self._ranks is None:
             return
         rank, arrived = self._ranks.rank, self._closing.Ibarrier()
@@ -273,10 +274,10 @@ def leave_to_the_first() -> int:
 
 
 def explained(error: Exception) -> str:
-    """Return one line about an error that is no error of contactqp."""
+    """Return one line about an exception that contactqp did not raise."""
     lines = str(error).strip().splitlines()
     if type(error).__module__.startswith("petsc4py"):
-        reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost stands last, after its rank
+        reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost one is last, after its rank
         full = getattr(error, "ierr", None) == PETSC_MEMORY or PETSC_ALLOCATION in str(error)
         return f"out of memory: PETSc, {reason}" if full else f"PETSc: {reason}"
     if isinstance(error, MemoryError):
@@ -298,7 +299,7 @@ speakers = Speakers()
 
 
 def complete_case(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the names of shipped cases, and the files and folders here, that begin so."""
+    """Return the shipped cases, files and folders whose name begins with `begun`, for completion by the shell."""
     from contactqp.scene.shipped import shipped_files
 
     names = [file.stem for file in shipped_files() if file.stem.startswith(begun)]
@@ -307,7 +308,7 @@ def complete_case(_context: click.Context, _parameter: click.Parameter, begun: s
 
 
 def complete_method(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the names of methods that begin so."""
+    """Return the methods whose name begins with `begun`, for completion by the shell."""
     from contactqp.solving.methods import methods
 
     return [CompletionItem(method.name) for method in methods() if method.name.startswith(begun)]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from contactqp.study.answer_pictures import AnswerFiles
     from contactqp.study.friction_files import FileOutcome
 
-# Cases from which on they are solved side by side.
+# The number of cases from which on they are solved in parallel.
 MANY = 4
 
 
@@ -122,7 +122,7 @@ def run_command(
     if "-" in cases and (engine != SERIAL or cases.count("-") > 1):
         raise InvalidProblem("run: standard input is read once, in one process; expected files, or a single -")
     speakers.start(engine)
-    named, foreign = speakers.by_first(lambda: _split(cases))  # which may be problems that it alone has
+    named, foreign = speakers.by_first(lambda: _split(cases))  # since files may exist on one rank alone
     with speakers.together():
         _refuse_on_engine(engine, checkpoint, csv, units)
         if units is not None and named:
@@ -300,7 +300,7 @@ class _Outcome:
 
 
 def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, jobs: int | None) -> Iterator[_Outcome]:
-    """Yield the outcomes of each case, solved here or side by side in as many processes."""
+    """Yield the outcomes of each case, solved in this process or in `jobs` parallel ones."""
     side_by_side = min(jobs or (cores() if len(scenes) >= MANY else 1), len(scenes))
     if side_by_side <= 1:
         yield from (_answer(scene, files, asked) for scene in scenes)
@@ -312,7 +312,7 @@ def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, 
     pool = ProcessPoolExecutor(side_by_side, get_context("spawn"), _leave_ctrl_c_to_the_first)
     solve = partial(_answer_elsewhere, asked=asked, terminal=sys.stdout.isatty())
     try:
-        # Not `pool.map`: it cancels what is left, on which the pool's own thread fails when its processes end.
+        # `pool.map` would cancel the remaining cases, and then the pool's own thread fails when its processes end.
         for future in [pool.submit(solve, scene) for scene in scenes]:
             yield future.result()
     except BaseException as error:
@@ -323,7 +323,7 @@ def _answers(scenes: Sequence[Scene], files: AnswerFiles | None, asked: _Asked, 
             raise NotConverged(text) from None
         raise
     finally:
-        pool.shutdown()  # waits: Python may end while the pool's own thread closes what Python then writes to
+        pool.shutdown()  # wait, as the pool's own thread may otherwise close a pipe that Python still writes to
 
 
 def _leave_ctrl_c_to_the_first() -> None:
@@ -331,7 +331,7 @@ def _leave_ctrl_c_to_the_first() -> None:
 
 
 def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Outcome:
-    """Solve a case in a process of its own; its warnings come back as words."""
+    """Solve a case in a process of its own, whose warnings are returned as text."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", StartWarning)
         told = _answer(scene, None, asked, terminal)
@@ -339,7 +339,7 @@ def _answer_elsewhere(scene: Scene, *, asked: _Asked, terminal: bool) -> _Outcom
 
 
 def _answer(scene: Scene, files: AnswerFiles | None, asked: _Asked, terminal: bool | None = None) -> _Outcome:
-    """Solve a case, and draw its answer; on several ranks all of them do so, as each has a piece of it."""
+    """Solve a case and draw its answer; on several ranks collectively, as each has a part of it."""
     from contactqp.scene.judging import Failure, judge_all
     from contactqp.scene.printing import judgement_data
 
@@ -380,16 +380,16 @@ def _text(found: Sequence[Judgement | Failure], asked: _Asked, terminal: bool | 
 
 
 def _failed(failures: Iterable[tuple[str, str]]) -> Ending:
-    """Return the ending of a rank that alone has no answer, for which the others wait in some exchange.
+    """Return the ending of a rank that alone has no answer, while the others wait in a collective operation.
 
-    Of each failure its message and its code; the first code stands for all.
+    Failures are pairs of message and code; the first code is used.
     """
     known = list(failures)
     return Ending(NOT_MET, "; ".join(message for message, _ in known), error=known[0][1] if known else "")
 
 
 def _draw(found: Sequence[Judgement | Failure], files: AnswerFiles) -> list[Path]:
-    """Write pictures and files, and return them; where each rank has a piece, the first one gets the whole for that."""
+    """Write pictures and files, and return their paths; on several ranks the first one gathers the answer."""
     from contactqp.scene.judging import Judgement
 
     for outcome in found:

@@ -109,7 +109,7 @@ def init_command(file: str, like: str | None) -> None:
     path = Path(file)
     if path.suffix != ".toml":
         raise InvalidProblem(f"{file}: expected a name that ends in .toml")
-    refuse_undecodable(file)  # the case says how it is run, by its name
+    refuse_undecodable(file)  # the text of the case names its file
     text = first_case(file) if like is None else shipped_case(like).file.read_text(encoding="utf-8")
     try:
         with path.open("x", encoding="utf-8") as new:
