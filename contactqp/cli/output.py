@@ -274,7 +274,7 @@ def leave_to_the_first() -> int:
 
 
 def explained(error: Exception) -> str:
-    """Return one line about an exception that contactqp did not raise."""
+    """Return one line about an exception that is no ContactQPError."""
     lines = str(error).strip().splitlines()
     if type(error).__module__.startswith("petsc4py"):
         reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost one is last, after its rank

@@ -151,9 +151,9 @@ def _contacts(scene: SceneData, solution: Solution) -> Iterator[FrameContact]:
 
 
 def _friction(scene: SceneData, contact: Any, form: Any, solution: Solution, i: int) -> Array | None:
-    """Return -E_T' l_T of one contact on each of its nodes (1 or 2, d); None without friction, or where it has moved.
+    """Return -E_T' l_T of one contact on each of its nodes (1 or 2, d), None without friction.
 
-    The tangents of large deformation are those of the place that a node has reached.
+    At large deformation the tangents are those at the current position of the node.
     """
     if solution.friction_force is None or isinstance(solution, LargeSolution):
         return None
@@ -175,7 +175,7 @@ def _point(scene: SceneData, name: str) -> Array:
 
 # Times of scenes are in seconds.
 TIME_UNIT = "s"
-# Dots per inch at which the smallest letters can still be read: bodies have the larger figures and letters.
+# Dots per inch at which the smallest text is still legible; figures of bodies are larger.
 DPI, DPI_OF_BODIES = 90.0, 75.0
 
 
@@ -194,7 +194,7 @@ def answer_figure(
     scale : by how much displacements are magnified
     """
     if isinstance(scene, Deck):
-        if not scene.assembly.bodies:  # trusses and springs alone
+        if not scene.assembly.bodies:  # the deck has only trusses and springs
             return solution_figure(solution, title=title)
         return figure(fields_of_deck(scene, solution), title=title, scale=scale)
     if scene.membranes:
@@ -318,7 +318,7 @@ def _drawn(
         return figure(solid, title=title, scale=1.0 if scale is None else scale)
     drawn = solution_figure(solution, title=title)
     if solution.problem.near_null_space is not None:
-        for legend in drawn.legends:  # below everything else, where a text of its own would stand across it
+        for legend in drawn.legends:  # below everything else, so that it overlaps no other text
             legend.set_title(HOW_BODIES)
             legend.get_title().set_fontsize("x-small")
     return drawn
@@ -327,7 +327,7 @@ def _drawn(
 def _figure_of_system(
     system: System, pairings: Sequence[Pairing], solution: Solution, title: str, scale: float | None
 ) -> Figure:
-    """Return the figure of elastic bodies, or of membranes, which a structure has not together."""
+    """Return the figure of elastic bodies or of membranes."""
     if any(isinstance(body, Membrane) for body in system.structure.bodies):
         return membrane_figure(_membranes(system, pairings, solution), title=title)
     return figure(contact_fields(system, pairings, solution), title=title, scale=scale)
@@ -356,7 +356,7 @@ class AnswerPictures:
 
 
 def answer_pictures(outcome: Judgement | Failure) -> AnswerPictures:
-    """Return small pictures for a page, without the case's title; why there is none is stated, not raised."""
+    """Return small pictures for a page, without the case's title, or the reason why there is none."""
     if importlib.util.find_spec("matplotlib") is None:
         return AnswerPictures(why_not="matplotlib is not installed: pip install matplotlib")
     history = None if outcome.history is None else _history(outcome.history)

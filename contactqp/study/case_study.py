@@ -1,4 +1,4 @@
-"""One case prepared for a report: its problem, its truth, the settings to be tried, and its expectations."""
+"""Prepare one case for a report: its problem, reference solution, settings of methods, and expectations."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from contactqp.study.settings import (
 )
 from contactqp.study.truth import Truth, proven_solution, truth_of_solution
 
-# Expected values with a larger relative tolerance than this are no truth that errors are measured against.
+# Expected values with a larger relative tolerance are not used as reference.
 EXACT = Fraction(1, 10**12)
-# Added to the source of exact values that are not those of the problem.
+# A remark on exact values that contradict the proven solution.
 CONTRADICTED = "which the proven solution contradicts: one of them is wrong"
 
 
@@ -68,7 +68,7 @@ class CaseStudy:
 
     @cached_property
     def digest(self) -> str:
-        """Return the digest of the case file and of the problem that is made of it."""
+        """Return the digest of the case file and of its problem."""
         file = self.scene.file
         return digest(b"" if file is None else file.read_bytes(), self.problem)
 
@@ -91,11 +91,11 @@ class CaseStudy:
     def truth(self) -> Truth | None:
         """Return what the case states exactly, completed by the proven solution; None where neither exists.
 
-        Where the two contradict each other, by the measure that answers are judged by, the source says so.
+        If the two contradict each other beyond the error tolerance, the text on the source states it.
         """
-        if self.scene.motion is not None:  # its exact values are those of the continuum, not of its steps
+        if self.scene.motion is not None:  # the exact values of the case are those of the continuum
             return None
-        if self.scene.large:  # there is no single problem with this solution
+        if self.scene.large:  # the solution is not that of a single problem
             return None
         own = proven_solution(self.problem)
         displacement, normal_force = self._stated()
@@ -138,7 +138,7 @@ def _at_full_load(claim: Expectation) -> bool:
 
 
 def _is_exact(claim: Expectation) -> bool:
-    # Zero is zero, whatever the absolute tolerance that goes with it.
+    # A value of zero is exact whatever its absolute tolerance.
     target = claim.targets[0]
     return target.si == 0 or (not any(claim.tolerance.dimension) and claim.tolerance.si <= EXACT)
 
@@ -158,7 +158,7 @@ class FullLoad:
 
 
 def _refuse_twins(paths: Sequence[Path]) -> None:
-    """Raise SceneError where a case is named twice: two would have one name."""
+    """Raise SceneError where two cases have the same name."""
     seen: dict[Path, Path] = {}
     for path in paths:
         before = seen.setdefault(path.resolve(), path)
@@ -211,7 +211,7 @@ def load_studies(
 def _settings(scene: Scene, problem: ContactProblem, method: Method, tolerances: Sequence[float]) -> Iterator[Setting]:
     settings = tuple(all_settings(problem, method, tolerances, stated_ladders(scene, method)))
     yield from settings
-    if scene.motion is None and not scene.large:  # whose steps are problems of their own
+    if scene.motion is None and not scene.large:  # every step of which is a separate problem
         yield from on_all_unknowns(problem, settings)
 
 

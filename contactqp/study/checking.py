@@ -48,7 +48,7 @@ def check_case(problem_file: str, candidate_file: str, options: CheckOptions) ->
     """Judge an answer against a case file.
 
     Raises SceneError, InvalidProblem: one of the files is invalid; Unsupported: the case is a motion, a load path with
-    friction or a large deformation: what is right at its end depends on the history that leads there.
+    friction or a large deformation, whose right answer depends on the history.
     """
     scene = load_scene(problem_file)
     problem = build(scene).problem
@@ -124,7 +124,7 @@ def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | S
     named = part in found.named or (part == "normal_force" and "normal_pressure" in found.named)
     if named and order.names is not None:
         raise wrong(order.file, "content", "a table problem,candidate, as the candidate has names", "an order")
-    if named:  # values came by their names: places are then counted in the problem's order
+    if named:  # values given by name are already in the problem's order
         return order.places if order.renamed is None else None
     if order.renamed is not None and order.places is None:
         raise wrong(order.file, "candidate", "places counted from 0, as the candidate has no names", "names")
@@ -132,7 +132,7 @@ def _map(order: Order | None, found: AnswerFile, part: str) -> Sequence[int] | S
 
 
 def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> None:
-    """Replace a pressure, which has been multiplied by its area, with the force that it is."""
+    """Replace a pressure by the force, its product with the area."""
     if "normal_pressure" not in given:
         return
     if "normal_force" in given:
@@ -142,7 +142,7 @@ def _take_pressure(file: str, given: dict[str, Any], options: CheckOptions) -> N
     given["normal_force"] = given.pop("normal_pressure")
 
 
-# A stored velocity that differs from W r + q by more than this part of it belongs to other forces.
+# A stored velocity that differs more from W r + q, relatively, does not belong to the forces.
 OTHER_VELOCITY = 1e-6
 
 
@@ -152,8 +152,8 @@ class WorstContact:
 
     name: str
     index: int
-    figure: str  # the figure that is broken most
-    size: float  # of that figure, as the certificate measures it
+    figure: str  # the figure with the largest violation
+    size: float  # the value of that figure
     force: Array  # (d,) as given
     velocity: Array  # (d,) W r + q of all the given forces
     right_force: Array | None  # (d,) of our solution
@@ -178,7 +178,7 @@ class ForcesVerdict(Verdict):
 
     problem: LocalProblem
     certificate: LocalCertificate
-    worst: tuple[WorstContact, ...]  # worst first; all that are beyond the tolerance
+    worst: tuple[WorstContact, ...]  # all beyond the tolerance, worst first
 
 
 def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) -> ForcesVerdict:
@@ -317,7 +317,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     console.print(f"{escape(verdict.candidate_file)}: {word} {tolerance}", soft_wrap=True)
     print_wrapped(console, [f"  ignored: {line}" for line in verdict.ledgers[-1].ignored])
     if isinstance(verdict, AnswerVerdict) and not verdict.passed:
-        # In one line: its options can be pasted.
+        # On one line, so that its options can be copied.
         console.print(escape(f"  {as_options(verdict.certificate.diagnosis)}"), soft_wrap=True)
     for name, value in figures(verdict.certificate).items():
         console.print(f"  {name.replace('_', ' ')}: {value:.3g}")
@@ -330,7 +330,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
     if verdict.why_not is not None:
         print_wrapped(console, [f"no right values to set beside: {verdict.why_not}"])
     for ledger in verdict.ledgers:
-        last = ledger is verdict.ledgers[-1]  # of which it stands above what was ignored
+        last = ledger is verdict.ledgers[-1]  # the notes on what was read are above those on what was ignored
         lines = [f"  {kind}: {line}" for kind, line in ledger if not (last and kind == "ignored")]
         print_wrapped(console, [ledger.source, *lines])
 

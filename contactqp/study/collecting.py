@@ -1,4 +1,4 @@
-"""Run the cells of a report and collect their results: first all answers side by side, then all timings one by one."""
+"""Run the cells of a report and collect their results: first all answers in parallel, then all timings one by one."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from contactqp.study.settings import BRIEF_LADDERS, Setting
 from contactqp.study.statistics import BODY
 from contactqp.study.truth import Truth
 
-# Timed linear solves at most, and the seconds after which their median is good enough.
+# The most linear solves that are timed, and the seconds after which no more are.
 REPEATS, ENOUGH_SOLVES = 9, 0.2
 
 
 def linear_solve_seconds(problem: ContactProblem) -> float | None:
-    """Return the time [s] of one linear solve of the bodies without contact: the physical limit of a contact problem.
+    """Return the time [s] of one linear solve of the bodies without contact, a lower bound for contact solvers.
 
     It is one factorisation of K and one back-substitution of the load by the sparse solver of contact, the median of at
     most nine solves after a first. Contacts and ties are left out, and where the bodies then float, as few unknowns are
@@ -57,7 +57,7 @@ def linear_solve_seconds(problem: ContactProblem) -> float | None:
 
 
 def linear_solve(problem: ContactProblem) -> Callable[[], Vector] | None:
-    """Return the function that is timed, which solves for the unknowns that are not fixed; None if all are."""
+    """Return the function that is timed, a solve for the free unknowns, None if there are none."""
     condensation = condense(problem)
     fixed = fixing_unknowns(condensation.rigid.motions, np.zeros(0, dtype=np.intp), problem.diagonal)
     moving = np.setdiff1d(np.arange(problem.dimension), fixed)
@@ -73,7 +73,7 @@ def _pardiso(stiffness: Any) -> Pardiso:
 
 
 def _positive(stiffness: Any) -> bool:
-    """Return whether PARDISO factorises this stiffness: it may not where bodies nearly float."""
+    """Return whether PARDISO factorises this stiffness, which may fail where bodies nearly float."""
     try:
         _pardiso(stiffness)
     except NotPositive:
@@ -81,19 +81,19 @@ def _positive(stiffness: Any) -> bool:
     return True
 
 
-# Cases whose problems a process keeps: the current one, and the one before while others still work on it.
+# The number of cases whose problems a process keeps in memory.
 KEPT = 2
 # Seconds after which a process that measures a case is stopped.
 PATIENCE = 120.0
-# Seconds of an answer to a problem of a few unknowns, what a body of any size takes more, and how many unknowns take a
-# second; of a record, whose pictures take most of it; of a footprint, which starts a process; of the files at the end.
-# They are for the estimate of the time left alone.
+# Costs for the estimate of the time left: seconds of an answer with few unknowns, additional seconds of a body,
+# unknowns per second; seconds of a record, mostly for its pictures, of a footprint, which starts a process, and of the
+# final files.
 ANSWER, OF_BODY, A_SECOND, PICTURES, FOOTPRINT, FILES = 0.01, 0.03, 1.2e5, 0.7, 2.5, 1.0
 
 
 @dataclass(frozen=True)
 class Ticket:
-    """A case as it is sent to another process, which builds its problem; equal where the case is the same."""
+    """A case in the form sent to another process, which builds the problem; tickets of the same case are equal."""
 
     name: str
     digest: str
@@ -133,7 +133,7 @@ class LinearSolve:
 
 
 def ticket_of(study: CaseStudy) -> Ticket:
-    """Return the case as it is sent to another process."""
+    """Return the case in the form sent to another process."""
     return Ticket(study.name, study.digest, study.scene)
 
 
@@ -255,17 +255,18 @@ _WARM: set[tuple[str, str]] = set()
 
 @lru_cache(maxsize=KEPT)
 def _study(ticket: Ticket) -> CaseStudy:
-    """Return the case as it is in this process, without settings, which come one by one."""
+    """Return the case of a ticket in this process, without settings, which are passed separately."""
     return CaseStudy(ticket.name, ticket.scene, ticket.scene.problem(), ())
 
 
-# Least seconds of a call; seconds that a cell takes in addition to its calls, and the time of these over that which is
-# measured: making a fresh problem is not.
+# Least seconds of a call; seconds of a cell beside its calls; and the ratio of a call's time to the measured part,
+# which leaves out making a fresh problem.
 OVERHEAD, AROUND, BESIDE = 1e-3, 4e-3, 1.1
-# The time of a call alone over that of a first one while other processes solve: these share caches, memory and what a
-# core has twice. Measured on two cores, 0.43 to 0.55 on bodies of 1 000 to 40 000 unknowns.
+# The ratio of the time of a call alone to that of a first call beside other processes, which share caches and memory.
+# On two cores it was 0.43 to 0.55 for bodies of 1 000 to 40 000 unknowns.
 ALONE = 0.5
-# A first call beyond so many times the median of its case loaded packages: the next one is expected to take no longer.
+# A first call beyond this multiple of the case's median loaded packages, so the next one is expected to take the
+# median.
 UNUSUAL = 3.0
 
 
@@ -315,7 +316,7 @@ class Collector:
         Raises ContactQPError: a case is wrong.
         """
         self._show(self)
-        # The largest first: at the end no process waits for another one's long cell.
+        # The largest first, so that at the end no process has a long cell alone.
         studies = sorted(self._studies, key=lambda study: -study.problem.dimension)
         with self._workers.side_by_side() as pool:
             self._quicker = ALONE if pool.size > 1 else 1.0
@@ -330,7 +331,7 @@ class Collector:
             self._run("times", list(self._timing_cells(studies)), pool, later=lambda: FILES)
 
     def found(self) -> tuple[tuple[CaseRecord, ...], tuple[Row, ...]]:
-        """Return the records and the rows that there are, in the order of the cases; those not timed have no time."""
+        """Return the finished records and rows in the order of the cases; rows not timed yet have no time."""
         rows = (self._row(study, setting) for study in self._studies for setting in study.settings)
         return tuple(map(self._record, self._studies)), tuple(row for row in rows if row is not None)
 
@@ -378,7 +379,7 @@ class Collector:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return notes on what was kept of an interrupted report, and what was not."""
+        """Return notes on which results of an interrupted report were reused."""
         kept = [f"{self._kept} results were kept from a report that was interrupted"] if self._kept else []
         return (*kept, *(f"{name}: changed since the report was interrupted, run again" for name in self._changed))
 
@@ -433,7 +434,7 @@ class Collector:
 
     @property
     def progress(self) -> str:
-        """Return what is going on, how far it is, and what is left."""
+        """Return the current part, the numbers of finished and of all cells, and the seconds left."""
         return str(self._progress)
 
     def _count(self, cell: Cell, result: Result) -> None:
@@ -467,7 +468,7 @@ class Collector:
 
 @dataclass(frozen=True)
 class Rounds:
-    """In how many rounds a setting is timed: at most so many, and no more once so many seconds are spent on it."""
+    """The number of rounds in which a setting is timed, limited by a count and by seconds."""
 
     most: int
     enough: float
@@ -485,7 +486,7 @@ def _visit(seconds: float) -> float:
 
 
 def _solves(seconds: float) -> float:
-    """Return the seconds that timing linear solves takes, of which one takes so many: two are for nothing."""
+    """Return the seconds for timing linear solves of this duration, with two that are not counted."""
     return min(REPEATS * seconds, ENOUGH_SOLVES + seconds) + 2 * seconds + AROUND
 
 

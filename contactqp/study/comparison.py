@@ -41,13 +41,13 @@ from contactqp.study.settings import (
 )
 from contactqp.study.truth import ERROR_TOLERANCE, Errors, Reference, Truth, truth_of, truth_of_reference
 
-# A method is called wrong about itself only beyond this multiple of the tolerance that was asked of it.
+# A method's flag counts as wrong only if the error exceeds this multiple of the required tolerance.
 GENEROSITY = 100.0
-# A first call that takes longer [s] is its own timing: what it imports no longer matters beside it.
+# A first call that takes longer [s] is used as the timing, since imports are then negligible.
 LONG = 2.0
-# Timed calls of a setting one after the other, before it is the turn of the next: at most so many, in so many seconds.
+# The most calls of a setting that are timed in one turn, and the seconds of a turn.
 VISIT_CALLS, VISIT = 2, 5e-3
-# Run times of which a spread is told, at least.
+# The least number of run times for which a spread is given.
 FEWEST_SPREAD = 2
 
 # Maps a solution to the expectations of its case that it misses; None where nothing was compared.
@@ -70,7 +70,7 @@ class Timing:
     """Run times of one setting [s], one for each call after the warm-up."""
 
     seconds: tuple[float, ...]
-    warm: bool = True  # False: one call, which was its own warm-up
+    warm: bool = True  # False for a single call, which included the warm-up
 
 
 def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None) -> Row:
@@ -192,10 +192,10 @@ def crashed(problem: ContactProblem, setting: Setting, case: str, message: str) 
 def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None = None) -> Outcome:
     """Call solve once, or `follow`, and time it.
 
-    Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] is that to the answer: the
-    certificate and the raw answer are not counted, except in `follow`, where each step is certified on the way.
+    Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] excludes the certificate and
+    the raw answer, except in `follow`, where each step is certified.
     """
-    fresh = problem.afresh()  # shares no factorisation with it
+    fresh = problem.afresh()  # a copy without shared factorisations
     solution: Solution | None = None
     error: ContactQPError | None = None
     started = time.perf_counter()
@@ -280,7 +280,7 @@ def _verdict(setting: Setting, outcome: Outcome, errors: Errors | None) -> str:
 
 
 def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
-    """Return whether the method itself called its answer solved; None for the active set, whose answer is refined."""
+    """Return the method's own flag "solved", None for the active set, whose answer is refined."""
     solution = outcome.solution
     if solution is None or setting.method.kind == "active set":
         return None
@@ -288,7 +288,9 @@ def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
 
 
 def _flag_wrong(setting: Setting, claimed: bool | None, errors: Errors | None) -> bool | None:
-    """Return whether an answer was claimed and is worse than both the error tolerance and what was asked allow."""
+    """Return whether an answer was flagged as solved although its error exceeds the error tolerance and what was
+    asked.
+    """
     if claimed is None or errors is None or not setting.method.exact:
         return None
     return claimed and errors.judged > _asked(setting, errors)
@@ -355,7 +357,7 @@ class Comparison(Printed, RowsOf[Row]):
     """The table of `compare`, with one row for each method and value of its knob; `str` prints it."""
 
     rows: tuple[Row, ...]
-    truth: str  # what the errors are measured against
+    truth: str  # the source of the reference solution
 
     def __repr__(self) -> str:
         return f"Comparison({counted('row', len(self))} against {self.truth})"
@@ -446,7 +448,7 @@ def compare(
 def _settings(
     problem: ContactProblem, method: Method, knobs: Mapping[str, Sequence[float]], options: Mapping[str, Any]
 ) -> Iterator[Setting]:
-    """Yield what is tried of a method: the values of its knob, each with the other options that it takes."""
+    """Yield the settings of a method: the values of its parameter, each with the other options that it takes."""
     own = {name: value for name, value in options.items() if takes(method.name, name)}
     values = knobs.get(method.name)
     if values is None and method.knob in own:

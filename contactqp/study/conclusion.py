@@ -1,4 +1,4 @@
-"""The conclusion that a report draws from its rows, and the folder that it is delivered into.
+"""Draw the conclusion of a report from its rows, and deliver the files into its folder.
 
 The conclusion is one sentence, and one line for each method. The folder keeps an unfinished report apart from a
 finished one, with the machine it was made on.
@@ -28,7 +28,7 @@ from contactqp.study.rows import UNIT_ROUNDOFF, Row
 from contactqp.study.running.journal import Journal
 from contactqp.study.statistics import ANSWERED, BODY, own_answers, solved
 
-# Added to multiples of a linear solve, and taken off their geometric mean again.
+# The shift of the shifted geometric mean, in linear solves.
 MULTIPLE_SHIFT = 1.0
 # What a line is called where several settings of a method were tried on a case, and what that costs.
 BEST_OF = (
@@ -70,7 +70,9 @@ class MethodLine:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a report answers, and the lines of its methods: those that are right most often first, then by time."""
+    """The answers of a report to its questions, and the lines of its methods, the most often right and then the fastest
+    first.
+    """
 
     answers: tuple[tuple[str, str], ...]  # questions with their answers, in a sentence or two
     lines: tuple[MethodLine, ...]
@@ -97,8 +99,8 @@ class Conclusion:
 def conclude(all_rows: Sequence[Row], load_before: float | None = None) -> Conclusion:
     """Return the conclusion of the rows of a report; those whose times are not known yet count without them.
 
-    Cases whose answer is not known, as of motions, are left out: nobody is right or wrong there. Where the load of the
-    machine before the report says that it was busy, no method is called faster than another.
+    Cases without a reference solution, such as motions, are left out. If the machine was busy before the report, no
+    method is called faster than another.
     """
     judged = {row.case for row in all_rows if row.error_judged is not None}
     tried = [row for row in all_rows if row.verdict != rows.MISSING and row.case in judged]
@@ -166,7 +168,7 @@ def _smallest(tried: Sequence[Row], timed: set[str]) -> int:
     return min((row.unknowns or 0 for row in tried if row.case in timed), default=0)
 
 
-# What people ask of a report.
+# The questions that a report answers.
 WHICH, PENALTY, WRONG = "Which method?", "What does a penalty cost?", "Who is wrong without saying so?"
 
 
@@ -214,7 +216,7 @@ def _which(lines: Sequence[MethodLine], cases: int, smallest: int, unsure: bool)
 def _penalties(lines: Sequence[MethodLine]) -> str:
     """Return how far off the methods are that are approximate by design, and in which time; empty without them."""
     off = [line for line in lines if not line.exact and line.force_error is not None]
-    off.sort(key=lambda line: line.method != "penalty")  # what is asked for, before what is like it
+    off.sort(key=lambda line: line.method != "penalty")  # exact matches before similar ones
     found = "; ".join(f"{line.method} is off by {_off_by(line)}{_time(line)}" for line in off)
     if not found:
         return ""
@@ -258,11 +260,11 @@ def _time(line: MethodLine, smallest: int | None = None) -> str:
     return f", in the time of {line.linear_solves:{digits}} linear solves{where}"
 
 
-# In place of a claim of order.
+# Text used where no order of methods can be claimed.
 UNSURE = "; which of them is faster a busy machine cannot tell"
-# Times that differ by less are those of equals: what a machine scatters by from one run to the next.
+# Times that differ by less count as equal, as runs on one machine vary by that much.
 AS_FAST = 1.1
-# What a flag is called wrong by (`contactqp.study.comparison.GENEROSITY`).
+# The criterion by which a flag is wrong, in words (`contactqp.study.comparison.GENEROSITY`).
 BY_FAR = "more than 100 times the tolerance asked"
 
 
@@ -289,7 +291,7 @@ def _off(error: float | None) -> str:
 
 
 def _percent(part: int, whole: int) -> str:
-    """Return a part in per cent, rounded so that all is all and none is none."""
+    """Return a part in per cent, rounded so that 100 % and 0 % are exact."""
     share = 100 * part / whole if whole else 0.0
     return f"{min(max(round(share), 1 if part else 0), 100 if part == whole else 99)} %"
 

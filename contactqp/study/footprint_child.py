@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class ImportMeter:
-    """Times imports as a stage of their own, wherever they happen, and adds up the memory that they take."""
+    """Measures the time of imports as a separate stage, wherever they happen, and the memory that they take."""
 
     def __init__(self, clock: StageClock) -> None:
         self._clock, self._import, self._inside = clock, builtins.__import__, False

@@ -1,4 +1,4 @@
-"""A receipt of `contactqp check`: what was judged, by which version, what came of it, and whether it still holds."""
+"""Write a receipt of `contactqp check`, with files, version and verdict, and verify it later."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ from contactqp.study.verdict import CheckOptions, Verdict, is_written_out
 SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1
 # Options that name files, which are hashed as well.
 FILES = ("pressure_areas", "dof_map", "contact_map")
-# What a verdict is compared by, and the factor by which a figure or a bound may grow with the version or the machine.
+# The entries by which verdicts are compared, and the factor by which a figure or bound may grow between versions or
+# machines.
 SAME = ("right", "proven")
 EXPECTED = "a receipt, as `contactqp check PROBLEM CANDIDATE --receipt FILE` writes"
 GROWTH = 10.0
-# Figures and bounds below this are rounding, however they compare.
+# Figures and bounds below this are rounding errors and are not compared.
 ROUNDING_OF_FIGURES = 1e-11
 
 
@@ -130,7 +131,7 @@ def hashes(receipt: Path, problem: str, candidate: str, options: CheckOptions) -
 
 
 def _hash(path: Path) -> str:
-    file_size(path, "a file to hash")  # a device that a receipt names has no end
+    file_size(path, "a file to hash")  # reading a device would not end
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -153,7 +154,7 @@ class Verified:
     """Whether a receipt still holds; `differences` says in words what does not."""
 
     file: str
-    right: bool  # what the receipt says of the answer
+    right: bool  # the verdict in the receipt
     tolerances: tuple[float, float]  # that it was judged with: of violations, and of errors
     written_by: str  # the version
     differences: tuple[str, ...]
@@ -215,7 +216,7 @@ def _read(file: str) -> Mapping[str, Any]:
 
 
 def _is_receipt(data: Mapping[str, Any]) -> bool:
-    """Return whether data has all that a receipt has, in its types; what is no mapping raises."""
+    """Return whether data has all entries of a receipt with their types; raises if it is no mapping."""
     options, verdict = data["options"], data["verdict"]
     texts = [data[name] for name in ("problem", "candidate", "contactqp", "created")]
     texts += [options["compression"], *data["sha256"], *data["sha256"].values()]
@@ -234,7 +235,7 @@ def _is_receipt(data: Mapping[str, Any]) -> bool:
 
 
 def _may_name_a_file(text: object) -> bool:
-    """Return whether a value is a text that the system takes for a name; what it cannot write in bytes raises."""
+    """Return whether a value can be the name of a file; raises if it cannot be encoded."""
     return isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
 
 
@@ -249,13 +250,13 @@ def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]
 
 
 def _other_verdict(data: Mapping[str, Any], verdict: Verdict) -> Iterator[str]:
-    """Yield what another verdict, other words, or a figure or a bound that has grown say."""
+    """Yield the differences between a receipt and a new verdict: verdict, text, figures or bounds that have grown."""
     found, before = verdict.data(), data["verdict"]
     for name in SAME:
         if before.get(name) != found.get(name):
             now, then = (_in_words(name, values.get(name)) for values in (found, before))
             yield f"the answer is {now}, and the receipt says {then}"
-    if data["contactqp"] == version("contactqp"):  # another one may use other words
+    if data["contactqp"] == version("contactqp"):  # another version may word it differently
         for name in ("basis", "diagnosis"):
             if before.get(name) != found.get(name):
                 yield f"the {name} is {found.get(name)!r:.100}, and the receipt says {before.get(name)!r:.100}"
@@ -277,7 +278,7 @@ def _figure_text(value: float | None) -> str:
 
 
 def _grown(old: float | None, new: float | None) -> bool:
-    """Return whether a figure is another one; None is one that is not finite, NaN one that is not there."""
+    """Return whether a figure has changed; None stands for one that is not finite, NaN for a missing one."""
     if old is None or new is None:
         return old is not new
     return not new <= GROWTH * max(old, ROUNDING_OF_FIGURES) or math.isnan(old)

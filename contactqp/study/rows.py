@@ -30,7 +30,7 @@ UNIT_ROUNDOFF = 1.1e-16
 # Values of the column `condensed` where there is a choice.
 CONDENSED, WHOLE = "yes", "no"
 
-# In the order in which a reader wants them.
+# The columns in the order of the table.
 VERDICTS: Mapping[str, str] = {
     RIGHT: "the certificate passes and the true error is small",
     APPROXIMATE: "approximate by design, returned with a certificate that says how far off it is",

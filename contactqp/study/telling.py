@@ -1,7 +1,7 @@
-"""The brief report: the cases that it takes, the charts that it begins with, and what was left out.
+"""The brief report: its selection of cases, its first charts, and notes on what was left out.
 
 The cases are examples small enough to be checked by hand, and Hertz's contact at three sizes. The charts show the error
-of the contact forces against run time, on the case that tells most and over the small ones.
+of the contact forces against run time, on the most informative case and over the small ones.
 """
 
 from __future__ import annotations
@@ -275,10 +275,10 @@ LINE_LABEL = (18.0, 190.0)
 ROW, MOST = 14.0, 0.45
 # How far above or below its mark the middle of a name may stand that has a line to it [px].
 FAR = (24.0, 38.0, 54.0, 72.0, 92.0, 116.0)
-# Methods that people look for, named before the others.
+# Methods whose names are placed first, as readers look for them.
 NAMED_FIRST = ("active-set", "penalty", "perturbed-lagrangian", "augmented-lagrangian")
 
-# What the page knows such a name by, which it leaves out where a chart is narrow.
+# The name by which the page finds labels, to hide them in narrow charts.
 LABEL = "method"
 
 Box = tuple[float, float, float, float]  # left, bottom, right, top [px]

@@ -17,9 +17,9 @@ from contactqp.model.solution import GLOBALLY, Solution
 from contactqp.oracle.assertions import largest_of, weights
 from contactqp.solving.solve import solve
 
-# The rounding error of a chain of a few dozen additions, relative to the size of its terms.
+# The rounding error of a few dozen additions, relative to the size of the terms.
 SUMS_ROUND = 64 * EPS
-# True errors above this are wrong: the certificate's own tolerance of errors.
+# Answers with a larger true error are wrong; it is the certificate's error tolerance.
 ERROR_TOLERANCE = 1e-6
 # Values of `Errors.measure` where errors are not relative.
 ABSOLUTE_ENERGY = "u absolute in the energy norm (the true energy vanishes)"
@@ -34,8 +34,8 @@ class Errors:
     displacement_max: float | None  # max |u − u*| / max |u*|
     force: float | None  # max |λ_i − λ_i*| e_i / max |λ_i*| e_i with e_i = max_j |E_ij|
     measure: str  # "relative", or which errors are measured otherwise
-    judged: float  # the worst of those that decide, relative to sizes that do not vanish; infinite if not finite
-    allowance: float  # the part of it that rounding the answer to doubles may cause
+    judged: float  # the largest of the deciding errors, relative to sizes that do not vanish
+    allowance: float  # the part of `judged` that rounding the answer to doubles may cause
 
     @property
     def allowed(self) -> float:
@@ -62,8 +62,8 @@ class Truth:
     tie_force: Vector | None  # (k,)
     source: str
     unique_forces: bool = True
-    free: bool = False  # there are motions that nothing drives and nothing constrains
-    contradicted: bool = False  # a proven solution differs: one of the two is wrong
+    free: bool = False  # whether there are free motions
+    contradicted: bool = False  # a proven solution differs, so one of the two is wrong
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
         """Return the errors of an answer: displacement (n,), normal_force (m,), tie_force (k,) or None.
@@ -182,7 +182,7 @@ def proven_solution(problem: ContactProblem) -> Solution | None:
     """Return the active-set solution if its certificate passes with both bounds proven of every answer, else None."""
     try:
         solution = solve(problem)
-    except ContactQPError:  # the method's own row says why
+    except ContactQPError:  # the row of the method has the reason
         return None
     return solution if solution.certificate.passed and solution.certificate.scope == GLOBALLY else None
 

@@ -40,7 +40,7 @@ OPTIONS = (
 )
 
 
-# A map that stands on the command line: places in brackets, or with commas between them.
+# A map written on the command line: indices in brackets or separated by commas.
 PLACES = re.compile(r"\s*(?:\[\s*\d+(?:\s*,\s*\d+)*\s*\]|\d+(?:\s*,\s*\d+)+)\s*")
 
 
@@ -93,7 +93,7 @@ class Order:
 
 def is_written_out(told: str) -> bool:
     """Return whether a map is given by its places themselves, instead of by a file."""
-    return PLACES.fullmatch(told) is not None and not os.path.exists(told)  # also of what no file can be called
+    return PLACES.fullmatch(told) is not None and not os.path.exists(told)  # also for texts that cannot be file names
 
 
 def read_order(file: str | None, names: Sequence[str]) -> Order | None:
@@ -181,7 +181,7 @@ class Verdict:
     certificate: JudgedAnswer | LocalCertificate
     worst: Sequence[JudgedContact]
     right: Solution | LocalSolution | None  # our solution, where the candidate is wrong
-    why_not: str | None  # why we have no solution
+    why_not: str | None  # the reason why there is no solution
     ledgers: tuple[Ledger, ...]  # of the problem and of the candidate
     notes: tuple[str, ...] = ()  # in addition to those of the certificate
 

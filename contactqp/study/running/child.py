@@ -1,4 +1,4 @@
-"""Child processes that run one cell at a time and may die or hang without harm to others.
+"""Child processes that run one cell at a time, and whose crash or hang does not affect others.
 
 A pool of the standard library or of joblib gives up all of its tasks when one of its processes dies, cannot stop one
 that hangs, and cannot run within a worker of Dask. Here each thread has a process of its own and finds out how that
@@ -215,7 +215,7 @@ class Child:
         with self._lock:
             self._process = None
         for stream in (process.stdin, process.stdout):
-            with suppress(OSError):  # what was not sent yet is sent nowhere
+            with suppress(OSError):  # pending data is discarded
                 if stream is not None:
                     stream.close()
 

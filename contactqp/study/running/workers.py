@@ -16,7 +16,7 @@ from contactqp.model.arrays import renew_in_child
 from contactqp.study.running.child import Children
 from contactqp.study.running.journal import source_digest
 
-# Of processes that run side by side: more than one thread each would only wait for the others.
+# Parallel processes use one thread each, as more would only compete with each other.
 ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 # On which threads times are taken, in words.

@@ -1,1 +1,1 @@
-"""Numerical stability: axes of difficulty swept with exact truths, and what every method makes of them."""
+"""Study numerical stability: sweep families of problems of growing difficulty with exact solutions over all methods."""
