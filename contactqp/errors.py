@@ -77,7 +77,7 @@ class NotConverged(ContactQPError):
     """A method stopped before it had an answer; `history` records its iterations, `solution` is its last iterate if
     any.
 
-        For a path or a motion, `history` is its completed part, a `History`.
+    For a path or a motion, `history` is its completed part, a `History`.
     """
 
     code = "not-converged"

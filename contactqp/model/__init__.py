@@ -1,1 +1,1 @@
-"""What a problem, an answer and a verdict are: frozen data, and no algorithm."""
+"""Frozen data classes of problems, answers and verdicts, without algorithms."""

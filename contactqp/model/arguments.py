@@ -1,7 +1,7 @@
-"""The arguments of public functions, held against the types that their signatures state.
+"""Check the arguments of public functions against the types in their signatures.
 
-A function that is `checked` refuses what it cannot take before it computes anything: the message names the argument,
-what was expected and what came. Arrays are read by the functions themselves (`contactqp.model.problem_data`).
+A `checked` function raises InvalidProblem before it computes anything; the message names the argument, what was
+expected and what came. Arrays are read by the functions themselves (`contactqp.model.problem_data`).
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", bound=type)
 
-# The order of their entries means something, and they are no text.
+# Types whose entries have an order, without text.
 SEQUENCES = (Sequence, Iterable, tuple, list)
-# Whole numbers from here on are no numbers of anything, and none of NumPy's.
+# Larger integers cannot be counts and do not fit NumPy's types.
 LARGEST_WHOLE = 2**63
-# No argument lists as many things.
+# Longer iterables are refused.
 MOST_ENTRIES = 10**8
 NO_SEQUENCES = (str, bytes, Mapping, Set)
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments of other types than the signature states; iterables that can be read once become tuples.
+    """Return the function with a check of its arguments against the signature; one-time iterables are turned into
+    tuples.
 
     Raises
     ------
     InvalidProblem
-        An argument of another type. It is a TypeError, too, where a call does not fit the signature.
+        An argument has another type. A call that does not fit the signature raises WrongCall, also a TypeError.
     """
     signature = inspect.signature(function)
     stated: dict[str, Any] = {}
@@ -74,7 +75,9 @@ def checks(kind: C) -> C:
 
 
 def _called(function: Callable[..., Any], args: tuple[Any, ...], given: Mapping[str, Any]) -> str:
-    """Return what a user calls a function: ``Structure.assemble``; a constructor's object by its name, or its class."""
+    """Return the name of a function for messages, such as ``Structure.assemble``, or for a constructor its object's
+    name or class.
+    """
     if "." not in function.__qualname__ or not args:
         return function.__name__
     kind = (args[0] if isinstance(args[0], type) else type(args[0])).__name__
@@ -95,24 +98,24 @@ def _stated_types(function: Callable[..., Any], signature: inspect.Signature) ->
 
 
 class _Names(dict[str, Any]):
-    """The names that a module has; one imported for type checkers alone stands for classes of that name."""
+    """The names of a module; one that is imported for type checkers only stands for any class of that name."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, None) or type(name, (_ByName,), {})
 
 
 class _ByName:
-    """A class that is known by its name alone and need not be imported where it has no objects."""
+    """A class identified by its name, so that it need not be imported."""
 
 
 def _accepted(place: str, value: Any, stated: Any) -> Any:
     """Return a value of the stated type, a sequence where one is stated, or refuse it."""
     options = get_args(stated) if get_origin(stated) in (Union, UnionType) else (stated,)
     if any(_is_of(value, option) for option in options):
-        # What stands for arrays may list float, too: an array with axes stays what it is.
+        # Unions for array-like arguments may contain float; an array with axes is not converted to one.
         scalar = isinstance(value, (np.ndarray, np.floating, Decimal, Fraction)) and _is_real(value)
         if isinstance(value, str):
-            value = str.__str__(value)  # whatever a class of its own writes instead
+            value = str.__str__(value)  # whatever the annotation of a subclass is
             if not any(option in (Path, os.PathLike) for option in options) and not _can_be_written(value):
                 raise InvalidProblem(f"{place}: expected text, got one with half of a character: {shown(value)}")
         return float(value) if float in options and scalar else value
@@ -135,12 +138,12 @@ def _accepted(place: str, value: Any, stated: Any) -> Any:
 
 
 def _is_sequence(value: Any) -> bool:
-    """Return whether a value is a sequence of entries; a sparse matrix, whose entries would be its rows, is none."""
+    """Return whether a value is a sequence of entries; a sparse matrix is not treated as one."""
     return isinstance(value, Iterable) and not isinstance(value, NO_SEQUENCES) and not sp.issparse(value)
 
 
 def is_readable(value: Any) -> bool:
-    """Return whether a value is no collection without an end, or with more entries than anybody lists."""
+    """Return whether a collection is finite and not longer than any reasonable argument."""
     if isinstance(value, (np.ndarray, np.generic)):
         return True
     try:
@@ -150,7 +153,7 @@ def is_readable(value: Any) -> bool:
 
 
 def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
-    """Return the entries of an iterable, of a mapping its pairs."""
+    """Return the entries of an iterable, or the pairs of a mapping."""
     mapping = isinstance(value, Mapping)
     try:
         if isinstance(value, Sized) and not is_readable(value):
@@ -162,7 +165,7 @@ def _entries(place: str, value: Iterable[Any]) -> tuple[Any, ...]:
 
 
 def _is_of(value: Any, stated: Any) -> bool:
-    """Return whether a value is of a type that is neither a union nor a sequence nor a mapping."""
+    """Return whether a value has a type that is neither a union nor a sequence nor a mapping."""
     kind = get_origin(stated) or stated
     if kind is Any:
         return True
@@ -203,7 +206,7 @@ def _is_real(value: Any) -> bool:
 def _can_be_written(text: str) -> bool:
     try:
         text.encode()
-    except UnicodeEncodeError:  # a surrogate without the other, as names of files may have it
+    except UnicodeEncodeError:  # an unpaired surrogate, as in names of files
         return False
     return True
 
@@ -227,7 +230,7 @@ def _has(value: Any, name: str) -> bool:
 
 
 def _words(stated: Any) -> str:
-    """Return what a message calls a type: ``a number``, ``a Mesh``, ``a sequence with each a Support``."""
+    """Return a type in words for messages: ``a number``, ``a Mesh``, ``a sequence with each a Support``."""
     kind = get_origin(stated) or stated
     simple = {float: "a number", int: "a whole number", bool: "True or False", str: "a string", Callable: "a function"}
     if kind in simple:
@@ -263,9 +266,9 @@ def read_whole(name: str, value: Any) -> Index:
 
 
 def read_places(name: str, value: Any, count: int) -> Indices:
-    """Return places among `count`, given as whole numbers or as one truth value for each.
+    """Return indices below `count`, given as integers or as a mask of `count` truth values.
 
-    Raises InvalidProblem: neither, or a place that is none.
+    Raises InvalidProblem: neither of these, or an index out of range.
     """
     chosen = isinstance(value, np.ndarray) and value.dtype == bool and value.shape == (count,)
     places = np.flatnonzero(value) if chosen else read_whole(name, value)

@@ -1,13 +1,11 @@
-"""Types of arrays, and how functions compute: floating-point errors, threads of BLAS, clocks and time limits.
+"""Define types of arrays, and how functions compute: floating-point errors, threads of BLAS, clocks and time limits.
 
-Arrays are named by what they hold; shapes stand beside each field and in each docstring.
+OpenBLAS is limited to one thread for small dense systems: two threads do not accelerate a Cholesky factorisation of a
+few hundred rows, and slow it down a hundredfold where another process uses the second core, as they wait for each other
+by spinning. MKL, which PARDISO uses, keeps its threads. A forked process makes new locks, as one held by another thread
+at the time of the fork would never be released.
 
-OpenBLAS keeps to one thread around small dense systems: two threads make a Cholesky factorisation of a few hundred rows
-no faster, and a hundred times slower where another process has the second core: they wait for each other by spinning.
-MKL, which PARDISO runs on, keeps its threads. A lock that another thread holds while the process is forked would never
-be released in the child, which therefore makes its own.
-
-A clock takes the seconds of an answer's stages and counts its factorisations; it costs nothing where none runs.
+A `StageClock` measures the seconds of an answer's stages and counts factorisations; without a clock this costs nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ Indices = NDArray[np.intp]  # as NumPy's own functions return them
 Mask = NDArray[np.bool_]
 
 
-# What NumPy and SciPy say of matrices that are not finite.
+# The messages of NumPy and SciPy about matrices that are not finite.
 NOT_FINITE = (
     "array must not contain infs or nans",
     "svd did not converge",
@@ -46,14 +44,14 @@ TOO_FAR_APART = (
     "of magnitude between stiffnesses, rows or coefficients, which other units may bring"
 )
 
-# The least double with all its digits.
+# The smallest normal double.
 TINY = float(np.finfo(float).tiny)
-# The rounding of a double is at most half of this part of it.
+# The machine epsilon; one rounding is at most half of it, relatively.
 EPS = float(np.finfo(float).eps)
-# Times this a bound stays one, whatever its last operations have rounded.
+# A factor that keeps a bound valid in spite of the rounding of its last operations.
 ROUNDED_UP = 1.0 + 4.0 * EPS
 
-# Sparse solvers count rows and columns with 32 bits.
+# Sparse solvers use 32-bit indices.
 LARGEST_INDEX = 2**31 - 1
 
 P = ParamSpec("P")
@@ -62,10 +60,9 @@ C = TypeVar("C", bound=type)
 
 
 def inverse_root(diagonal: Array) -> Array:
-    """Return 1/sqrt of a diagonal, and 1 where it is zero; entries below the normal floats count as the smallest of
-    these.
+    """Return 1/sqrt of a diagonal, and 1 where it is zero; subnormal entries are replaced by the smallest normal float.
 
-    Products of two of these scales therefore stay in the range of floats.
+    Products of two of these scales then do not overflow.
     """
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, np.maximum(diagonal, TINY), 1.0)))
 
@@ -77,10 +74,11 @@ def all_finite(answer: object) -> bool:
 
 
 def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
-    """Return arrays with zeros where |value| times its unit is at most `least`: the rounding that refinement leaves.
+    """Return arrays with zeros in place of values with |value| times unit at most `least`, the rounding that refinement
+    leaves.
 
-    Units turn displacements and forces into square roots of energy, in which they compare: 1/D for displacements, the
-    scaled length of its row for a force.
+    Units convert displacements and forces to square roots of energy: 1/D for displacements, the scaled length of
+    the row for a force.
     """
     return [
         np.where(abs(value) * unit <= least, 0.0, value) if value.size else value
@@ -89,12 +87,12 @@ def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) 
 
 
 def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function overflow, underflow and divide by zero silently, whatever `np.seterr` says.
+    """Return a function that overflows, underflows and divides by zero silently, whatever `np.seterr` is set to.
 
-    What comes of it is infinite or NaN, which no certificate passes; under `np.seterr(all="raise")`, or with warnings
-    as errors, harmless underflow would end a solve with somebody else's exception. Where a factorisation refuses such
-    numbers, numbers of the problem are too far apart to be computed with, and the error says so.
-    A call that does not fit the signature is told the nearest arguments.
+    The result is then infinite or NaN, which no certificate passes. Under `np.seterr(all="raise")`, or with warnings as
+    errors, harmless underflow would otherwise raise a foreign exception. Where a factorisation fails on such numbers,
+    the error states that the numbers of the problem are too far apart. A call that does not fit the signature raises an
+    error with the nearest names.
     """
 
     @wraps(function)
@@ -118,14 +116,14 @@ COLLECTING = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
 
 
 def misfit(signature: Signature, given: Mapping[str, Any], error: TypeError) -> str:
-    """Return why a call does not fit: the arguments that are not there first, which a missing one may be meant by."""
+    """Return why a call does not fit the signature, unknown arguments first, as they may be misspelled missing ones."""
     names = [name for name, one in signature.parameters.items() if one.kind not in COLLECTING and name != "self"]
     unknown = [name for name in given if name not in names]
     return no_argument(unknown, names) if unknown else f"{error}; its arguments: {', '.join(names)}"
 
 
 def _refuse_misfit(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> None:
-    """Raise WrongCall where these arguments do not fit the signature; a call that fits raised what it raised."""
+    """Raise WrongCall if these arguments do not fit the signature; otherwise the original TypeError stands."""
     try:
         signature(function).bind(*args, **kwargs)
     except TypeError as error:
@@ -133,7 +131,7 @@ def _refuse_misfit(function: Callable[..., Any], args: Sequence[Any], kwargs: Ma
 
 
 def refuses_misfits(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse calls that do not fit a constructor which reads its arguments itself.
+    """Make a constructor that reads its arguments itself raise WrongCall for calls that do not fit.
 
     Raises WrongCall: there is no argument of that name, and the nearest one is given; or arguments are missing.
     """
@@ -156,7 +154,7 @@ def refuses_misfits(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def computes(kind: C) -> C:
-    """Give the constructor and all public methods and properties of a class settings of their own, as above."""
+    """Apply `own_floating_point` to the constructor and all public methods and properties of a class."""
     for name, value in tuple(vars(kind).items()):
         if name.startswith("_") and name != "__post_init__":
             continue
@@ -170,9 +168,9 @@ def computes(kind: C) -> C:
 
 
 def refuse_places_outside(name: str, matrix: Any) -> None:
-    """Raise InvalidProblem where a sparse matrix has entries outside of its shape, or fewer numbers than places.
+    """Raise InvalidProblem where a sparse matrix has indices outside of its shape, or fewer values than indices.
 
-    SciPy's conversions of such a matrix read and write beyond the ends of its arrays.
+    SciPy would read and write beyond the ends of its arrays.
     """
     if max(matrix.shape) > LARGEST_INDEX:
         raise InvalidProblem(f"{name}: expected at most {LARGEST_INDEX} rows and columns, got shape {matrix.shape}")
@@ -194,13 +192,13 @@ def refuse_places_outside(name: str, matrix: Any) -> None:
 
 
 def _are_places(places: Any, count: int, data: Any) -> bool:
-    """Return whether each number of a sparse matrix has one place among `count`."""
+    """Return whether each value of a sparse matrix has one index below `count`."""
     within = not len(places) or (int(places.min()) >= 0 and int(places.max()) < count)
     return len(places) == len(data) and within
 
 
-# Rows of contacts, tangents and ties, or unknowns that are eliminated by dense factors, from which OpenBLAS would start
-# a second thread; smaller problems are done before its libraries are found.
+# The size of dense systems (rows of contacts, tangents and ties, or eliminated unknowns) from which OpenBLAS starts a
+# second thread; below it limiting the threads is not worth the search for its libraries.
 WORTHWHILE = 32
 
 
@@ -221,13 +219,13 @@ def on_one_thread() -> Iterator[None]:
 
 
 class _Limit:
-    """One limit for all who want it at a time: entered by the first, left by the last."""
+    """A limit of threads that concurrent callers share: the first one sets it, and the last one removes it."""
 
     def __init__(self) -> None:
         self._lock, self._count, self._limited = threading.Lock(), 0, ExitStack()
 
     def renew(self) -> None:
-        """Take a new lock in a process that was forked; it keeps the limit of the process that it comes from."""
+        """Make a new lock in a forked process, which keeps the limit of its parent."""
         self._lock = threading.Lock()
 
     def enter(self, pools: Any) -> None:
@@ -256,15 +254,15 @@ def _openblas() -> Any:
     return ThreadpoolController().select(internal_api="openblas")
 
 
-# Contacts from which a second thread pays.
+# The number of contacts from which on a second thread is faster.
 THREADS_PAY = 1500
 
 
 def one_blas_thread(problem: Any) -> AbstractContextManager[None]:
     """Keep OpenBLAS on one thread while a problem is worked on, unless its dense systems are large enough for two.
 
-    What counts is the size of the dense systems, whatever the number of unknowns: a membrane of 737 unknowns has 217
-    contacts, and two threads made its Cholesky factors up to a hundred times slower beside other work.
+    The size of the dense systems decides, not the number of unknowns: for a membrane of 737 unknowns and 217 contacts,
+    two threads made the Cholesky factorisation up to a hundred times slower beside other work.
     """
     tangents = 0 if problem.tangent is None else problem.tangent.shape[0]
     rows = max(problem.contacts + tangents + problem.ties, problem.dimension)
@@ -283,7 +281,7 @@ STAGES = (READ, BUILD, CONDENSE, METHOD, POLISH, CERTIFY, STEPS)
 
 
 class StageClock:
-    """Seconds by stage. Each instant belongs to the innermost stage that it is in, so that they sum to the total."""
+    """A clock of the seconds by stage; nested stages are subtracted from outer ones, so that all sum to the total."""
 
     def __init__(self) -> None:
         self.factorisations = 0  # of the stiffness
@@ -321,14 +319,14 @@ class StageClock:
         self._since = now
 
 
-# The clock that runs, if one does: whoever factorises or solves adds to its counts.
+# The running clock, if any, whose counts are increased by every factorisation and solve.
 RUNNING: ContextVar[StageClock | None] = ContextVar("the clock that runs", default=None)
 _UNTIMED = nullcontext()
 
 
 @contextmanager
 def timed() -> Iterator[StageClock]:
-    """Run a clock for all that this thread does inside the block."""
+    """Run a clock for the work of this thread inside the block."""
     clock = StageClock()
     token = RUNNING.set(clock)
     try:
@@ -337,13 +335,13 @@ def timed() -> Iterator[StageClock]:
         RUNNING.reset(token)
 
 
-# Who is told where the call that runs is, if anybody.
+# The function that receives the progress of the running call, if any.
 _LISTENER: ContextVar[Callable[[str], object] | None] = ContextVar("who is told where the call is", default=None)
 
 
 @contextmanager
 def telling(progress: Callable[[str], object] | None) -> Iterator[None]:
-    """Have `tell` call a function while this lasts; None leaves the one that there is."""
+    """Have `tell` call a function inside the block; None keeps the current one."""
     token = _LISTENER.set(_LISTENER.get() if progress is None else progress)
     try:
         yield
@@ -352,38 +350,38 @@ def telling(progress: Callable[[str], object] | None) -> Iterator[None]:
 
 
 def tell(where: str) -> None:
-    """Say in a few words what is done now."""
+    """Pass a short text on the current work to the function that `telling` has set."""
     listener = _LISTENER.get()
     if listener is not None:
         listener(where)
 
 
 def stage(name: str) -> AbstractContextManager[None]:
-    """Say that a stage begins, and charge what happens meanwhile to it if a clock runs."""
+    """Report a stage by `tell`, and count the time inside the block as its own if a clock runs."""
     tell(name)
     clock = RUNNING.get()
     return _UNTIMED if clock is None else clock.within(name)
 
 
 STOPPED = "stopped at the time limit"
-# When the call that runs has to end, if it has to, and the seconds that it was given.
+# The end of the running call, if it has a time limit, and that limit in seconds.
 _END: ContextVar[tuple[float, float] | None] = ContextVar("when the call that runs has to end", default=None)
 
 
 def within_time(seconds: float | None) -> AbstractContextManager[None]:
-    """Have `refuse_late` raise so many seconds from now; an earlier end that is already set stays."""
+    """Have `refuse_late` raise after this many seconds; an earlier limit stays in force."""
     earlier = _END.get()
     end = earlier if seconds is None else (time.perf_counter() + seconds, seconds)
     return _ending(end if earlier is None or (end is not None and end[0] < earlier[0]) else earlier)
 
 
-# What is said of a call that had to end before it had any answer.
+# Added to the message of a call that reached its time limit without an answer.
 NO_ANSWER = "no displacement had been computed yet, so that there is no answer to return"
 
 
 @contextmanager
 def call_within_time(seconds: float) -> Iterator[None]:
-    """End a call as `within_time` does, and say of one that had no answer until then why it returns none."""
+    """Limit a call as `within_time` does, and add to the error that it had no answer yet."""
     try:
         with within_time(seconds):
             yield
@@ -394,7 +392,7 @@ def call_within_time(seconds: float) -> Iterator[None]:
 
 
 def in_any_time() -> AbstractContextManager[None]:
-    """Suspend the time limit inside the block, so that what has been found is certified."""
+    """Suspend the time limit inside the block, so that an answer found so far can be certified."""
     return nullcontext() if _END.get() is None else _ending(None)
 
 
@@ -407,15 +405,15 @@ def _ending(end: tuple[float, float] | None) -> Iterator[None]:
         _END.reset(token)
 
 
-# The time limit of the call that ran out of time before it had the answer that is certified; None where none did.
+# The time limit of a call that reached it before it had an answer, which is certified now; None otherwise.
 _UNFINISHED: ContextVar[float | None] = ContextVar("the time limit that has cut an answer short", default=None)
 
 
 @contextmanager
 def unfinished() -> Iterator[None]:
-    """Tell the certificate, inside the block, that the time was up before the method had an answer.
+    """Mark, inside the block, that the time limit was reached before the method had an answer.
 
-    Its bounds then take as long again at most, and searches for the right answer are left out.
+    The certificate then spends at most the same time on its bounds, and does not search for the right answer.
     """
     end = _END.get()
     token = _UNFINISHED.set(None if end is None else end[1])
@@ -426,30 +424,30 @@ def unfinished() -> Iterator[None]:
 
 
 def seconds_of_unfinished() -> float | None:
-    """Return the time limit that was over before the answer that is certified was found, else None."""
+    """Return the time limit that was reached before the answer being certified was found, else None."""
     return _UNFINISHED.get()
 
 
 def seconds_left() -> float | None:
-    """Return the seconds until the running call has to end, at least a microsecond; None without a limit."""
+    """Return the seconds left to the running call, at least a microsecond, None without a limit."""
     end = _END.get()
     return None if end is None else max(end[0] - time.perf_counter(), 1e-6)
 
 
 def time_is_up() -> bool:
-    """Return whether the call that runs should have ended."""
+    """Return whether the time limit of the running call has passed."""
     end = _END.get()
     return end is not None and time.perf_counter() > end[0]
 
 
 def stated_limit(seconds: float | None) -> str:
-    """Return in words the time limit of the call; outside of a call, of a step that was given these seconds."""
+    """Return the time limit of the call, or outside of a call these seconds, as text."""
     end = _END.get()
     return f"{seconds if end is None else end[1]:g} s"
 
 
 def refuse_late(what: str) -> None:
-    """Raise NotConverged where the call that runs should have ended; `what` was to be done next."""
+    """Raise NotConverged if the time limit has passed; `what` names the next piece of work."""
     end = _END.get()
     if end is not None and time.perf_counter() > end[0]:
         raise NotConverged(f"{STOPPED} of {stated_limit(None)}, before {what}")

@@ -1,4 +1,4 @@
-"""What has been computed of a problem's matrices, kept with them for all that asks again."""
+"""Cache factorisations and other results that depend on a problem's matrices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector
 
 @dataclass(eq=False)
 class OfStiffness:
-    """What has been computed of a stiffness alone; problems with other contacts and ties share it."""
+    """Results that depend on the stiffness alone; problems with other contacts and ties share them."""
 
     diagonal: Vector | None = None
     own_scale: Vector | None = None  # 1/sqrt(K_jj)
@@ -18,18 +18,18 @@ class OfStiffness:
     sizes: Any = None  # |K|
     bodies: Indices | None = None  # (n,) the connected part of K that each unknown belongs to
     extended: Any = None  # K for products in twice double precision
-    elimination_order: Any = None  # linalg.pardiso: that of the unknowns, found with the first sparse factorisation
+    elimination_order: Any = None  # linalg.pardiso: order of elimination of the first factorisation
     widest_level: int | None = None  # linalg.iteration: unknowns of a level of the breadth-first search
-    factorised: bool = False  # linalg.iteration: whether it is factorised however large it is, as somebody wishes
-    iterable: bool | None = None  # linalg.iteration: whether a hierarchy knows all motions of bodies that float
-    supported: bool | None = None  # linalg.iteration: no body floats, as far as a hierarchy can tell
+    factorised: bool = False  # linalg.iteration: whether a caller forces a factorisation
+    iterable: bool | None = None  # linalg.iteration: whether a hierarchy represents all rigid motions
+    supported: bool | None = None  # linalg.iteration: whether no body floats, by a hierarchy
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
-    convex_by_iteration: bool = False  # linalg.convexity: whether a run of conjugate gradients met none
+    convex_by_iteration: bool = False  # linalg.convexity: the same by a run of conjugate gradients
 
 
 @dataclass(eq=False)
 class OfAnswer:
-    """What has been computed of the last answer, each with the arrays that it was made of (`certificate.figures`)."""
+    """Results for the last answer, each with the arrays that it was computed from (`certificate.figures`)."""
 
     residuals: tuple[tuple[Any, ...], Any] | None = None  # in extended precision
     sizes: tuple[tuple[Any, ...], Any] | None = None  # forces and lengths by which residuals are measured
@@ -37,36 +37,36 @@ class OfAnswer:
 
 @dataclass(eq=False)
 class Computed:
-    """What has been computed of a stiffness and a set of rows, for every load, gap and friction that follow.
+    """Results that depend on a stiffness and a set of rows, valid for all loads, gaps and coefficients of friction.
 
-    `ContactProblem.replace` hands it on as long as stiffness and rows stay. Entries are None until they are asked for;
-    each is made and read by one module, the one named beside it.
+    `ContactProblem.replace` passes them on if stiffness and rows stay the same. Each entry is None until it is
+    computed, and is written and read by the module named beside it.
     """
 
     of_stiffness: OfStiffness = field(default_factory=OfStiffness)
-    assembly: Any = None  # elements.structure, analysis.large: bodies and contacts that the problem was made of
-    contact_points: Array | None = None  # likewise: (m, d), where the contacts of that problem are
+    assembly: Any = None  # elements.structure, analysis.large: bodies and contacts of the problem
+    contact_points: Array | None = None  # likewise: (m, d), positions of its contacts
     locks: dict[int, Any] = field(default_factory=dict)  # by process
     idle_rows: tuple[Mask, Mask] | None = None  # contacts and ties with rows of zeros
     acting: Any = None  # certificate.idle_rows: the problem without them
     parallel_rows: Any = None  # solving.presolve
-    presolved: Any = None  # solving.presolve: the problem without rows that it can do without
-    near_one: Any = None  # certificate.number_range: whether K and the rows are, and else these in other units
+    presolved: Any = None  # solving.presolve: the problem without redundant rows
+    near_one: Any = None  # certificate.number_range: K and the rows in other units if needed
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
-    wider_condensation: Any = None  # linalg.condensation: that of more contacts, from which to go on
+    wider_condensation: Any = None  # linalg.condensation: one of more contacts, to be reduced
     dependent_ties: Any = None  # certificate.idle_rows
     constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
     sparse_saddle: dict[tuple[bytes, float], Any] = field(default_factory=dict)  # linalg.sparse_saddle: the last one
     last_solution: Any = None  # linalg.interior_point: the last one whose answer was given, in extended precision
-    sparse_frictional_rows: Any = None  # linalg.sparse_states: with the coefficients that they are for
-    equilibrated: Any = None  # linalg.equilibration: the problem in units of its own, and the way there
+    sparse_frictional_rows: Any = None  # linalg.sparse_states: with their coefficients
+    equilibrated: Any = None  # linalg.equilibration: the scaled problem and its scaling
     equilibrated_forces: Any = None  # linalg.equilibration: the same with a unit of forces apart from that of lengths
     contact_compliance: Any = None  # linalg.delassus
     extended: Any = None  # linalg.extended: K and the rows for products in twice double precision
     iteration: Any = None  # linalg.iteration
     frictional_iteration: Any = None  # linalg.iteration, with the tangential rows
-    frictional_rows: Any = None  # linalg.friction_states: with the coefficients and the condensation that they are of
+    frictional_rows: Any = None  # linalg.friction_states: with their coefficients and condensation
     row_sizes: dict[int, Any] = field(default_factory=dict)  # linalg.measures: by the identity of the rows
     contact_entries: dict[int, Any] = field(default_factory=dict)  # certificate.coulomb_law: likewise
     parts: Indices | None = None  # linalg.measures: bodies connected by contacts and ties
@@ -74,13 +74,13 @@ class Computed:
     untouched: Mask | None = None  # linalg.measures
     rounding_of_motions: Any = None  # certificate.figures: |K z| of rigid motions z
     independent_rows: bool | None = None  # certificate.uniqueness
-    several_answers: Any = None  # certificate.other_answers: what was found of the last load, with what it was of
+    several_answers: Any = None  # certificate.other_answers: results for the last load, with that load
     critical_friction: Any = None  # certificate.critical_friction
     all_contacts: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without
-    subset: Any = None  # certificate.subset_bounds: contacts that are solved for, and the problem with these alone
-    judged_subset: Any = None  # certificate.subset_bounds: the same of contacts that a certificate alone asks for
-    judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with what it was of
+    subset: Any = None  # certificate.subset_bounds: contacts of a subset, and the problem with these alone
+    judged_subset: Any = None  # certificate.subset_bounds: the same for contacts of a certificate
+    judged_state: Any = None  # certificate.state_answer: the verdict of the last answer, with that answer
     of_answer: OfAnswer = field(default_factory=OfAnswer)
-    linearised: Any = None  # analysis.derivatives: the last answer whose derivatives were asked for, and its systems
+    linearised: Any = None  # analysis.derivatives: the last answer with derivatives, and its systems
     contact_operator: Any = None  # solving.friction.contact_form
-    held_against: Any = None  # oracle.foreign.judging: right answers that answers to the last problem are held against
+    held_against: Any = None  # oracle.foreign.judging: reference answers of the last problem

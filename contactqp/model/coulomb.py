@@ -1,4 +1,4 @@
-"""The states of contacts under Coulomb's law, their slips, and the rows by which friction resists motions."""
+"""The states of contacts under Coulomb's law, their slips, and the rows that resist rigid motions with friction."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ContactState(IntEnum):
     """The state of a contact; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
 
     The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
-    friction, where sticking and slipping are not told apart.
+    friction, for which stick and slip are not distinguished.
     """
 
     SLIP_BACK = -1
@@ -36,38 +36,38 @@ Status = NDArray[np.int8]
 
 
 def plane_states(friction: Any) -> tuple[int, ...]:
-    """Return the states that a contact in the plane can be in, its coefficient of friction a float or a Fraction.
+    """Return the possible states of a contact in the plane with this coefficient of friction.
 
-    Without friction a closed contact neither sticks nor slips: SLIP_ON, whose friction is zero, stands for it.
+    Without friction a closed contact is represented by SLIP_ON, whose friction force is then zero.
     """
     return (OPEN, STICK, SLIP_BACK, SLIP_ON) if friction > 0 else (OPEN, SLIP_ON)
 
 
 def all_combinations(friction: Iterable[Any]) -> Iterator[tuple[int, ...]]:
-    """Return every combination of the states of contacts in the plane, of coefficients of floats or Fractions (m,)."""
+    """Return every combination of the states of contacts in the plane with coefficients of friction (m,)."""
     return combinations_of([plane_states(mu) for mu in friction])
 
 
 def combinations_of(choices: Sequence[tuple[int, ...]]) -> Iterator[tuple[int, ...]]:
-    """Return every combination of a choice for each of some contacts."""
+    """Return every combination of one choice for each contact."""
     return product(*choices)
 
 
 def number_of_combinations(choices: Iterable[tuple[int, ...]]) -> int:
-    """Return how many combinations of a choice for each contact there are."""
+    """Return the number of combinations of one choice for each contact."""
     return prod(len(choice) for choice in choices)
 
 
 def combinations_at(contacts: Any, choices: Sequence[tuple[int, ...]], status: Status) -> Iterator[Status]:
-    """Yield states (m,) in which some contacts have each combination of their choices, and others those of `status`."""
+    """Yield states (m,) with each combination of choices at the given contacts, and those of `status` elsewhere."""
     for chosen in combinations_of(choices):
         combination = status.copy()
         combination[contacts] = chosen
         yield combination
 
 
-# What a solution says of its contacts: with friction they are open, grazing, stick or slip, without it the first three.
-# Tables of many cases and files of pictures number them in this order.
+# The values of `contact_status`, with friction open, grazing, stick or slip, without it the first three. Tables of many
+# cases and files of pictures number them in this order.
 STATUS_WORDS = ("open", "grazing", "closed", "stick", "slip")
 
 
@@ -76,7 +76,7 @@ def status_names(status: Status) -> NDArray[np.str_]:
     return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")
 
 
-# Sides of the polygon around the disc of slips: motions between it and the disc, 0.5 % of the slip, are not claimed.
+# Sides of the polygon circumscribed about the disc of slips; it exceeds the disc by 0.5 %, where nothing is claimed.
 SIDES = 32
 
 

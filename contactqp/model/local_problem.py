@@ -1,6 +1,6 @@
-"""Frictional contact in the local form of FCLIB: velocities and forces of the contacts alone, no bodies behind them.
+"""Frictional contact in the local form of FCLIB, in which velocities and forces of the contacts are the only unknowns.
 
-    u = W r + q + V l,    V'r + R l + s = 0        the bodies, seen from their contacts and joints
+    u = W r + q + V l, V'r + R l + s = 0 the bodies, eliminated
     r_N >= 0,  u_N >= 0,  r_N u_N = 0              Signorini
     |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T does not vanish        Coulomb
 
@@ -48,14 +48,14 @@ from contactqp.model.problem_data import (
 from contactqp.model.solution import LocalCertificate
 from contactqp.model.summary import Printed, local_summary
 
-# Rounding and print precision leave a semidefinite operator eigenvalues that are negative by this part of the largest.
+# A semidefinite operator may have negative eigenvalues of this part of the largest, by rounding and print precision.
 INDEFINITE = 1e-5
-# Up to this size definiteness is decided at the door, by eigenvalues.
+# Up to this size definiteness is checked on input, by eigenvalues.
 DEFINITENESS_CHECK_SIZE = 300
-# Scale of a contact that has no compliance, at most.
+# The largest scale of a contact without compliance.
 LARGEST_SCALE = 1e150
 
-# What is computed of the matrices alone where every contact has a compliance of its own.
+# Scales that depend on the matrices alone if every contact has a compliance.
 OF_MATRICES = ("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale")
 
 
@@ -161,13 +161,13 @@ class LocalProblem(ReadOnly):
         self._refuse_indefinite()
 
     def with_offsets(self, offset: Vector, bilateral_offset: Vector) -> LocalProblem:
-        """Return the problem with other offsets (d m,), (p,); its matrices are neither read nor judged again."""
+        """Return the problem with other offsets (d m,), (p,); its matrices are not checked again."""
         twin = object.__new__(LocalProblem)
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         values["offset"] = read_only(read_vector("offset", offset, len(self.offset)))
         values["bilateral_offset"] = read_only(read_vector("bilateral_offset", bilateral_offset, self.joints))
         vars(twin).update(values)
-        if self._own_compliance.all():  # no scale is one of offsets
+        if self._own_compliance.all():  # no scale depends on offsets
             vars(twin).update({name: getattr(self, name) for name in OF_MATRICES})
         return twin
 
@@ -243,7 +243,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def scaled_asymmetry(self) -> float:
-        """Return `asymmetry` of `scaled_delassus`, which no contact's own unit changes."""
+        """Return the `asymmetry` of `scaled_delassus`, which is independent of the scaling of contacts."""
         return _asymmetry(self.scaled_delassus)
 
     @cached_property
@@ -257,14 +257,14 @@ class LocalProblem(ReadOnly):
     def drive(self) -> float:
         """Return the root mean square of scaled offsets of contacts that overlap without forces, or of loads of joints.
 
-        It is the larger of the two: without either, no forces are an answer. A contact that is far has no part in it.
+        It is the larger of the two, and zero where zero forces are the answer. Distant contacts do not enter.
         """
         overlaps = self._scaled_offset[self._scaled_offset[:, 0] < 0]
         return max(_mean_size(overlaps), _mean_size(self.bilateral_offset * self.joint_scale))
 
     @cached_property
     def typical_velocity(self) -> float:
-        """Return the `drive`, or where there is none, the scaled offset of the nearest contact that waits; or 1."""
+        """Return the `drive` or, where it is zero, the scaled offset of the nearest open contact, or 1."""
         sizes = np.max(abs(self._scaled_offset), axis=1, initial=0.0)
         waiting = sizes[sizes > 0]
         return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
@@ -333,7 +333,7 @@ def local_status(problem: LocalProblem, certificate: LocalCertificate) -> NDArra
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class GlobalProblem(ReadOnly):
-    """A problem in FCLIB's global form as its file states it; nothing is symmetrised.
+    """A problem in FCLIB's global form as stated in its file, not symmetrised.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Names of unknowns, contacts, ties and units: read, looked up and put into words.
+"""Read and look up the names of unknowns, contacts, ties and units, and describe motions with them.
 
-An unknown is called 12.x here, 12.1 with Abaqus and CalculiX, 12.UX with Ansys; which of these are the same is told.
+An unknown is called 12.x here, 12.1 in Abaqus and CalculiX, 12.UX in Ansys; these spellings are recognised.
 
 Directions 1, 2, 3 are x, y, z and 4, 5, 6 the rotations about them, as both Abaqus and CalculiX number them.
 """
@@ -20,7 +20,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem_data import is_whole
 
 NAMES_IN_A_MESSAGE = 8
-# An unknown that moves by this part of the largest takes part in a motion.
+# An unknown belongs to a motion if it moves by at least this part of the largest.
 TAKES_PART = 1e-9
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
@@ -47,9 +47,9 @@ def plain_name(name: str) -> str | None:
 
 
 def other_spellings(wanted: Iterable[str], given: Collection[str], among: Iterable[str]) -> dict[str, list[str]]:
-    """Return, for each wanted name, the given names that mean it under another spelling.
+    """Return, for each wanted name, the given names that are other spellings of it.
 
-    More than one, or one for two wanted names, is ambiguous.
+    Several for one wanted name, or one for several, are ambiguous.
 
     Parameters
     ----------
@@ -73,14 +73,14 @@ def describe_motion(problem: Any, motion: Vector) -> str:
         together = _moving_together((problem.dof_names[j] for j in moving.tolist()), motion[moving])
         if together:
             return listed(together)
-    # Rounded, so that unknowns that move alike are named in their own order.
+    # Rounded, so that unknowns with equal motions are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
     return listed(named, len(order))
 
 
 def describe_proof(problem: Any, proof: Any) -> str:
-    """Describe what a proof that there is no equilibrium gives in figures: its motion, or its weighted overlap."""
+    """Describe a proof that there is no equilibrium, by its motion or its weighted overlap."""
     if hasattr(proof, "motion"):
         return describe_motion(problem, proof.motion)
     unit = f" {problem.units.length}" if problem.units.length else ""
@@ -118,7 +118,7 @@ def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, 
     try:
         if isinstance(value, (str, bytes)) or sp.issparse(value):
             raise TypeError("no names")
-        names = tuple(str(v) for v in islice(value, size + 1))  # some have no end
+        names = tuple(str(v) for v in islice(value, size + 1))  # infinite iterables
         "".join(names).encode()
     except Exception as error:  # noqa: BLE001  whatever an object says of itself
         raise InvalidProblem(f"{name}: expected {size} names, got {shown(value)} ({error})") from None
@@ -133,7 +133,7 @@ def read_names(name: str, value: Sequence[str] | None, size: int) -> tuple[str, 
 def name_of(kind: str, number: int, count: int, names: Sequence[str] | None) -> str:
     """Return the name of a contact, an unknown or a tie, or its kind and its number where there are no names.
 
-    Raises InvalidProblem: it is none of the numbers from 0 to `count` - 1.
+    Raises InvalidProblem: the number is not between 0 and `count` - 1.
 
     Parameters
     ----------
@@ -159,14 +159,14 @@ class Units:
 
 
 NO_UNITS = Units()
-# Names that are units of one and never of the other, and such as are units of neither.
+# Names that are units of one quantity only, and names that are units of neither.
 LENGTHS = ("m", "mm", "cm", "dm", "km", "um", "nm", "in", "inch", "ft", "yd")
 NEITHER = ("g", "kg", "s", "min", "h", "rad", "deg", "Pa", "kPa", "MPa", "GPa", "psi", "bar", "J")
 FORCES = ("N", "mN", "kN", "MN", "GN", "daN", "dyn", "kgf", "lbf", "kip", "kips")
 
 
 def read_units(value: Units | Mapping[str, str] | None) -> Units:
-    """Return the units that a mapping with the keys ``length`` and ``force`` names; none where nothing is given."""
+    """Return the units in a mapping with the keys ``length`` and ``force``, no units for None."""
     if value is None or isinstance(value, Units):
         return value or NO_UNITS
     if not isinstance(value, Mapping) or sp.issparse(value) or (value and set(value) != {"length", "force"}):

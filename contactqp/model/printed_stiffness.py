@@ -1,19 +1,18 @@
-"""Free bodies whose stiffness was printed: K z of a rigid motion z is the rounding of the digits, and is taken away.
+"""Restore the rigid motions of free bodies whose stiffness was printed with few digits.
 
-A matrix that went through a file keeps six to twelve digits of every entry, and a motion z that should cost nothing
-meets the forces K z that the lost digits make: springs of either sign that hold or drive the body. Where motions are
-rigid but for that, K + d takes the place of K, d being the least change on the pattern of K with
+A matrix from a file has six to twelve digits, so that K z of a rigid motion z is not zero but the effect of rounding:
+small springs of either sign that hold or drive the body. Where a motion is rigid up to that, K is replaced by K + d,
+with the least change d on the pattern of K such that
 
     (K + d) Z = 0,    d = d',    sum_ij (d_ij / w_ij)^2 = min,    w_ij the rounding of K_ij.
 
-a least-squares problem of as many equations as there are unknowns times motions, solved by singular values, or by LSQR
-where there are many, and refined. Turns that were recognised are known to the digits of K only, and corrected with it:
-K + d on a pattern with zeros has no others.
+This least-squares problem has as many equations as there are unknowns times motions, and is solved by singular values,
+or by LSQR where there are many, and refined. Recognised rotations have only the digits of K and are corrected together
+with it.
 
-A motion is stated by the user, or recognised: K has few decimal digits, and the motion is among those of least energy.
-It is taken for rigid only if K z is nowhere more than lost digits make, is there at many unknowns, where entries of K
-have as many digits as any has, and has signs that follow no rule: a spring or a soft bed that holds the body has not,
-and stays what it is.
+A motion is stated by the user, or recognised where K has few decimal digits and the motion has nearly no energy. It is
+taken for rigid only if K z is within the effect of lost digits everywhere, acts at many unknowns, in rows whose entries
+have all the digits of K, and has random signs. A real spring or elastic foundation meets none of these and is kept.
 """
 
 from __future__ import annotations
@@ -28,48 +27,49 @@ from numpy.typing import NDArray
 
 from contactqp.model.arrays import EPS, Array, Indices
 
-# Forces K z beneath this part of |K||z| are the rounding of doubles: the matrix was not printed.
+# Forces K z below this part of |K||z| are rounding errors of doubles, so the matrix was not printed.
 EXACT = 256 * EPS
-# Motions come from singular vectors: every entry carries so much of the largest.
+# The error of the entries of motions from singular vectors, relative to the largest.
 ROUNDED_MOTION = 16 * EPS
-# The rounding of entries, relative, where digits cannot be counted: some unit was changed after they were printed.
+# The relative rounding of entries whose digits cannot be counted, as after a change of units.
 COARSEST = 1e-6
-# Energies of motions, K scaled to unit diagonal, that are looked at.
+# The largest energy of candidate motions, with K scaled to unit diagonal.
 SOFT = 1e-4
-# The part of the unknowns at which lost digits show, at least.
+# The least part of the unknowns at which lost digits have an effect.
 WIDESPREAD = 0.25
-# Forces K z of so many roundings of the entries: a motion that is itself known to the digits of K has a few.
+# The largest forces K z in roundings of the entries; a motion that itself has the digits of K has a few.
 INEXACT = 8.0
-# The part of the entries, in the rows where forces K z are felt, that have all the digits of K, at least: of printed
-# ones nine in ten have. Entries with fewer are exact, and their sums are.
+# The least part of the entries, in rows with forces K z, that have all the digits of K; of printed entries nine in ten
+# have. Entries with fewer digits are exact, and so are their sums.
 ALL_DIGITS = 0.5
-# Standard deviations beyond which the energy of a motion is no sum of roundings.
+# The number of standard deviations beyond which the energy of a motion is not a sum of roundings.
 DEVIATIONS = 4.0
-# Springs push back where they are moved to: of the work z_j (K z)_j of lost digits this part has the other sign.
+# The forces of springs resist the motion everywhere, while this part of the works z_j (K z)_j of lost digits has the
+# other sign.
 OTHER_SIGN = 0.01
-# Decimal digits of a printed matrix, at least and at most, and entries that are looked at first. Fewer are those of
-# whole numbers, which are exact: what half a digit of theirs would be holds or drives anything.
+# The least and the largest number of digits of a printed matrix, and the number of entries that are examined first.
+# Fewer digits belong to whole numbers, which are exact.
 FEWEST_DIGITS, MOST_DIGITS, LOOKED_AT = 4, 12, 64
-# A change of so many roundings of the largest entries, the diagonal being one, is no rounding of them.
+# A larger change, in roundings of the unit diagonal, is not one of rounding.
 MOST_ROUNDINGS, COARSEST_ROUNDINGS = 2.0, 16.0
-# Entries of a single motion that are so near to 0, 1 or -1 are that.
+# Entries of a motion that are this close to 0, 1 or -1 are rounded to it.
 SNAPPED = 1e-3
-# Rotations beside so many translations: of a beam, in the plane, in space.
+# The number of rotations by that of translations: of a beam, in the plane, in space.
 TURNS = {1: 1, 2: 1, 3: 3}
-# Unknowns up to which motions are looked for that nobody stated.
+# The number of unknowns up to which motions that were not stated are searched.
 RECOGNISED_UP_TO = 20_000
-# Unknowns up to which all motions of a body are found by a dense eigenvalue problem.
+# The number of unknowns up to which motions are found by a dense eigenvalue problem.
 DENSE = 600
-# Motions of one body that are looked for; rigid ones are six at most, mechanisms may be more.
+# The most motions of one body that are searched; six can be rigid, mechanisms may have more.
 MOST_MOTIONS = 12
-# What it costs to correct a turn, beside the rounding of the largest entries: next to nothing.
+# The weight of corrections of a rotation, relative to that of changes of the largest entries.
 TURNED = 10.0
-# Refinements of the change; those by LSQR to a part between these, and its steps.
+# Refinements of the change; the range of tolerances of LSQR, and its iterations.
 REFINEMENTS, SOLVED, HARDLY_SOLVED, MOST_STEPS = 8, 1e-8, 0.1, 1000
-# The first half of those by LSQR are damped, so that noise changes nothing; what they leave of the energy of turns
-# falls by a tenth a refinement only, and the others are not.
+# The first half of the refinements by LSQR are damped against noise; as they reduce the energy of rotations only by a
+# tenth each, the others are not.
 DAMPED = 4.0
-# Equations up to which the change is found by singular values: LSQR takes hundreds of steps for what turns lack.
+# The number of equations up to which singular values are used, as LSQR needs hundreds of iterations for rotations.
 FEW_EQUATIONS = 700
 # Forces K z of motions of length one, K of unit diagonal, that are rounding of their sums; and the singular value, of
 # the largest, that is: the correction of a turn comes in by its product with the change, a rounding of few digits.
@@ -81,14 +81,14 @@ ROUNDED_ENERGY = EPS / 2
 
 @dataclass(frozen=True, eq=False)
 class Cleared:
-    """A stiffness without the rounding of its digits along rigid motions."""
+    """A stiffness with restored rigid motions."""
 
     stiffness: Any  # (n, n) CSR
     change: float  # max |d_ij| / sqrt(K_ii K_jj)
 
 
 def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
-    """Return K (n, n; CSR) without what lost digits make of its rigid motions; None where there is nothing to change.
+    """Return K (n, n; CSR) with restored rigid motions, None where nothing is to be changed.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
     if not roundings or (stated is None and stiffness.shape[0] > RECOGNISED_UP_TO):
         return None
     root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))
-    scale: Array = np.exp2(-np.round(np.log2(root)))  # powers of two scale without rounding
+    scale: Array = np.exp2(-np.round(np.log2(root)))  # scaling by powers of two does not round
     changes, largest = [], 0.0
     for members in _bodies(stiffness):
         unit = scale[members]
@@ -130,7 +130,9 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
 
 
 def _noisy(stiffness: Any, motions: Array) -> bool:
-    """Return whether forces K z beyond rounding act at many unknowns, as lost digits make them; supports act at few."""
+    """Return whether forces K z beyond rounding act at many unknowns, as by lost digits, and not at few, as by
+    supports.
+    """
     root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))[:, None]
     forces = abs(stiffness @ motions) / root
     felt = forces > 8 * EXACT * np.max(root * abs(motions), axis=0)
@@ -155,10 +157,10 @@ def _scaled(matrix: Any, members: Indices, scale: Array) -> Any:
 
 
 def _rounding_of_digits(stiffness: Any) -> Any | None:
-    """Return half a unit of the last printed digit of each entry, on the pattern of K; None where digits are few or
+    """Return half a unit of the last printed digit of each entry, on the pattern of K; None where digits are too few or
     all.
 
-    Digits are counted from the first of each entry, or, where all have as many after the point, from there.
+    Digits are counted as significant ones, or as decimals where all entries have equally many.
     """
     entries = abs(stiffness.data)
     sample = entries[:: max(1, len(entries) // LOOKED_AT)]
@@ -192,7 +194,7 @@ def _has_digits(entries: Array, digits: int) -> bool:
 
 
 def _places(entries: Array) -> int | None:
-    """Return how many places after the point entries have at most; None where they have none or too many."""
+    """Return the largest number of decimals of the entries, None where they have none or too many."""
     for places in range(1, MOST_DIGITS + 1):
         if np.max(entries) * 10.0**places > 1 / EPS:
             return None
@@ -202,13 +204,14 @@ def _places(entries: Array) -> int | None:
 
 
 def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
-    """Return motions (p, q) of a body that only lost digits resist, and how many of the last ones are rotations.
+    """Return motions (p, q) of a body that are resisted by lost digits only, and how many of the last ones are
+    rotations.
 
     Translations come first and are exact.
     """
     translations = _translations(body, weight, scale)
     if not translations.shape[1] and body.shape[0] > DENSE:
-        return translations, 0  # hardly anything else is rigid, and to find out may cost more than to solve
+        return translations, 0  # further rigid motions are unlikely, and the search may cost more than the solve
     lowest = _lowest(body)
     if not lowest.shape[1]:
         return lowest, 0
@@ -219,16 +222,16 @@ def _recognised(body: Any, weight: Any, scale: Array) -> tuple[Array, int]:
         translations = whole / scale[:, None] if np.all(abs(single - whole) <= SNAPPED) else translations
     basis = _independent(translations)
     count = lowest.shape[1] - basis.shape[1]
-    # Unknowns that all move one way turn nowhere: what else they do is that of parts on soft springs.
+    # Without a second direction there is no rotation; other soft motions are those of parts on soft springs.
     one_way = translations.shape[1] == 1 and bool(np.all(translations))
     if count > (0 if one_way else TURNS.get(basis.shape[1], 0)):
-        return lowest[:, :0], 0  # translations that are not known well enough to say which loads drive them
+        return lowest[:, :0], 0  # inexact translations, for which loads along them could not be recognised
     turns = _independent(lowest - basis @ (basis.T @ lowest), count)
     return np.column_stack([basis, turns]), turns.shape[1]
 
 
 def _translations(body: Any, weight: Any, scale: Array) -> Array:
-    """Return translations (p, q) that only lost digits resist, whether unknowns stand node by node or axis by axis."""
+    """Return translations (p, q) that are resisted by lost digits only, for unknowns ordered by node or by axis."""
     size, found = body.shape[0], np.zeros((body.shape[0], 0))
     for directions in (1, 2, 3, 6):
         if size % directions:
@@ -243,7 +246,7 @@ def _translations(body: Any, weight: Any, scale: Array) -> Array:
 
 
 def _lowest(body: Any) -> Array:
-    """Return the motions (p, q) whose energy is next to nothing, of either sign."""
+    """Return the motions (p, q) of negligible energy, positive or negative."""
     size = body.shape[0]
     if size <= DENSE:
         values, vectors = np.linalg.eigh(body.toarray())
@@ -259,8 +262,7 @@ def _lowest(body: Any) -> Array:
 
 
 def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Any | None:
-    """Return the change d (p, p) of a scaled stiffness after which rigid motions take no force; None without such
-    motions.
+    """Return the change d (p, p) of a scaled stiffness that frees its rigid motions, None without such motions.
 
     `weight` holds the rounding of each entry, `known` from its digits or the coarsest that there may be. The last
     `turns` motions are known to the digits of K only, and corrected.
@@ -269,7 +271,7 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
     if not rigid.shape[1]:
         return None
     most = MOST_ROUNDINGS * weight.max() * (1.0 if known else COARSEST_ROUNDINGS)
-    # Most patterns have room for the turns as they were recognised, and then K + d has them to rounding.
+    # Most patterns admit the rotations as recognised, and then K + d has them to rounding.
     inexact = turns if rigid.shape[1] == motions.shape[1] else 0
     for corrected in (0, inexact) if inexact else (0,):
         change, left = _least_change(body, weight, rigid.copy(), corrected, most)
@@ -280,9 +282,9 @@ def _change(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> 
 
 
 def _least_change(body: Any, weight: Any, rigid: Array, turns: int, most: float) -> tuple[Any, Array]:
-    """Return the least change (p, p) and the forces (p, r) that are left; the last `turns` motions are corrected too.
+    """Return the least change (p, p) and the remaining forces (p, r); the last `turns` motions are corrected too.
 
-    Given up where an entry changes by more than `most`, or where the pattern has no room for the motions as they are.
+    It is abandoned where an entry changes by more than `most`, or where the pattern does not admit the motions.
     """
     change, before = body * 0.0, np.inf
     for step in range(REFINEMENTS):
@@ -304,30 +306,30 @@ def _least_change(body: Any, weight: Any, rigid: Array, turns: int, most: float)
 
 
 def _cost_nothing(body: Any, rigid: Array, forces: Array) -> bool:
-    """Return whether no combination of motions (p, r) with these forces (p, r) has more than a rounding's energy."""
+    """Return whether all combinations of motions (p, r) with these forces (p, r) have an energy below rounding."""
     energies, mix = np.linalg.eigh(rigid.T @ forces)
     size = abs(rigid @ mix)
     return bool(np.all(abs(energies) <= ROUNDED_ENERGY * np.sum(size * (abs(body) @ size), axis=0)))
 
 
 def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, known: bool) -> Array:
-    """Return orthonormal motions (p, r) whose forces K z are those of lost digits; none where other forces are as
+    """Return orthonormal motions (p, r) whose forces K z are those of lost digits, none where other causes are as
     likely.
 
-    The motions themselves, one after another, where all of them are. Where no digits are known, the forces may be those
-    of motions that were stated roughly: these cost energy. The last `turns` motions are known to the digits of K only.
+    If all motions qualify they are returned as they are. Where no digits are known, the forces may come from
+    inaccurately stated motions, which have energy. The last `turns` motions have only the digits of K.
     """
     kept = _independent(motions)
     energies, mix = np.linalg.eigh(kept.T @ (body @ kept))
     kept = kept @ mix[:, abs(energies) <= SOFT]
     forces, most = _forces(body, kept), INEXACT * (weight @ abs(kept)) + _of_doubles(body, kept)
-    if turns:  # they move what they should leave in place
+    if turns:  # they displace unknowns that should not move
         most = most + INEXACT * weight.max() * _reach(body, kept)
     within = np.all(abs(forces) <= most, axis=0)
     kept, forces = kept[:, within], forces[:, within]
     size = abs(kept) * _of_doubles(body, kept)
     impossible = bool(np.any(np.sum(kept * forces, axis=0) < -np.sum(size, axis=0)))
-    # A negative energy is no stiffness's. Turns that are inexact meet elastic forces everywhere: translations tell.
+    # No stiffness has negative energy. As inexact rotations cause elastic forces everywhere, translations decide.
     exact = motions[:, : motions.shape[1] - turns] if turns else kept
     if not impossible and not (known and _of_lost_digits(body, weight, exact)):
         return np.zeros((len(kept), 0))
@@ -335,9 +337,7 @@ def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, 
 
 
 def _of_lost_digits(body: Any, weight: Any, motions: Array) -> bool:
-    """Return whether the works z_j (K z)_j of motions (p, r) act at many unknowns with signs that follow no rule, and
-    where entries have lost digits.
-    """
+    """Return whether the works z_j (K z)_j of motions (p, r) have random signs at many unknowns with lost digits."""
     work = motions * _forces(body, motions)
     felt = abs(work) > abs(motions) * _of_doubles(body, motions)
     rows = np.any(felt, axis=1)
@@ -348,13 +348,13 @@ def _of_lost_digits(body: Any, weight: Any, motions: Array) -> bool:
 
 
 def _all_digits(body: Any, weight: Any) -> NDArray[np.bool_]:
-    """Return for each entry whether its last digit, of which `weight` holds half a unit, is no zero."""
+    """Return for each entry whether its last digit, half a unit of which is in `weight`, is not zero."""
     units = np.round(body.data / (2 * weight.data))
     return np.asarray(units % 10 != 0)
 
 
 def _independent(motions: Array, most: int | None = None) -> Array:
-    """Return an orthonormal basis of the span of motions, of at most so many columns."""
+    """Return an orthonormal basis of the span of motions, of at most `most` columns."""
     basis, values, _ = np.linalg.svd(motions, full_matrices=False)
     kept: Array = basis[:, values > 1e-12 * np.max(values, initial=0.0)]
     return kept[:, :most]
@@ -373,7 +373,7 @@ def _forces(matrix: Any, motions: Array) -> Array:
 
 
 def _of_doubles(matrix: Any, motions: Array) -> Array:
-    """Bound the forces K z (p, q) that doubles make by rounding: the products, and entries of z that should be zero."""
+    """Bound the rounding errors of K z (p, q), by the products and by entries of z that should be zero."""
     return np.asarray(EXACT * (abs(matrix) @ abs(motions)) + ROUNDED_MOTION * _reach(matrix, motions))
 
 
@@ -387,8 +387,8 @@ def _reach(matrix: Any, motions: Array) -> Array:
 class _LeastChange:
     """The least change on the pattern of K that has given forces on motions Z (p, r).
 
-    Its unknowns are y_ij = d_ij / w_ij for i <= j, and corrections x of the last motions, d Z + K x: by so many
-    roundings as K has. The equations of unknown i are scaled to unit covariance.
+    Its unknowns are y_ij = d_ij / w_ij for i <= j, and corrections x of the last motions in d Z + K x. The equations of
+    unknown i are scaled to unit covariance.
     """
 
     def __init__(self, body: Any, weight: Any, motions: Array, turns: int) -> None:
@@ -414,9 +414,10 @@ class _LeastChange:
         )
 
     def change(self, forces: Array, nothing: Array, damped: float) -> tuple[Any, Array]:
-        """Return the least d and corrections x (p, turns) with d Z + K x = forces (p, r), up to what is nothing (p, r).
+        """Return the least d and corrections x (p, turns) with d Z + K x = forces (p, r), up to the errors `nothing`
+        (p, r).
 
-        By LSQR, what a rounding of the entries changes by less than `damped` of that of doubles is not asked for.
+                LSQR is damped, so that components that roundings of the entries hardly change are left out.
         """
         from scipy.sparse.linalg import LinearOperator, lsqr
 
@@ -437,7 +438,9 @@ class _LeastChange:
         return self._matrix(y), TURNED * x
 
     def _by_singular_values(self, right: Array) -> Array:
-        """Return the least unknowns for whitened forces (e,), without noise and what the pattern cannot take."""
+        """Return the least unknowns for whitened forces (e,), without noise and components that the pattern does not
+        admit.
+        """
         left, values, unknowns = np.linalg.svd(self._dense(), full_matrices=False)
         asked = left.T @ right
         kept = (abs(asked) > NOISE) & (values > NO_ROOM * values[0])

@@ -47,7 +47,7 @@ from contactqp.model.problem_data import (
 from contactqp.model.quadratic_program import QuadraticProgram, contact_data, given_program, quadratic_program
 
 MEASURED = ("asymmetry", "rigid_change")  # found while a stiffness was read
-CARRIED = ("load_sum", "_computed")  # by problems that are derived from others, beside their data
+CARRIED = ("load_sum", "_computed")  # arguments of derived problems beside their data
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -177,7 +177,7 @@ class ContactProblem:
         ub: ArrayLike | None = None,
         **ranges: Any,
     ) -> ContactProblem:
-        """Return the problem that a quadratic program in the form and signs of qpsolvers is.
+        """Return the contact problem of a quadratic program in the form and signs of qpsolvers.
 
         Minimise 1/2 x'P x + q'x subject to G x <= h, A x = b, lb <= x <= ub and, by the keywords C, l, u, to
         l <= C x <= u. Contacts are in the order G, ranges, lower bounds, upper bounds and are called "row 3",
@@ -233,7 +233,7 @@ class ContactProblem:
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:
         """Set the fields of the problem, arrays read-only; `load_sum` is None where not given."""
         vars(self).update(dict(load_sum=None) | dict(values), _computed=computed)
-        # What everything asks for is there without a call.
+        # Frequently used values are plain attributes.
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
@@ -252,13 +252,13 @@ class ContactProblem:
 
     @classmethod
     def _of_checked(cls, values: Mapping[str, Any], computed: Computed) -> ContactProblem:
-        """Return a problem of values that need no further check, with what has been computed for it."""
+        """Return a problem of checked values, with the results computed for it."""
         problem = object.__new__(cls)
         problem._keep(values, computed)
         return problem
 
     def _values(self) -> dict[str, Any]:
-        """Return all data of the problem by the names of the fields; not what was computed from it."""
+        """Return all data of the problem by the names of the fields, without computed results."""
         self.refuse_exchanged_arrays()
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_computed"}
 
@@ -275,7 +275,7 @@ class ContactProblem:
     ) -> ContactProblem:
         """Return this frictionless problem in other unknowns (condensed, scaled); nothing is checked again.
 
-        Rounding may leave a transformed stiffness indefinite by a few digits of what it was; it still is this problem.
+        Rounding may make the transformed stiffness slightly indefinite, which is accepted.
 
         Parameters
         ----------
@@ -297,7 +297,7 @@ class ContactProblem:
 
     @cached_property
     def diagonal(self) -> Vector:
-        """Return the diagonal entries K_jj (n,), looked up once for a stiffness."""
+        """Return the diagonal entries K_jj (n,), computed once for a stiffness."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.diagonal is None:
             of_stiffness.diagonal = np.array(self.stiffness.diagonal(), dtype=float)
@@ -362,9 +362,9 @@ class ContactProblem:
         return self.friction is not None and bool(np.any(self.friction > 0))
 
     def replace(self, **changes: Any) -> ContactProblem:
-        """Return the problem with other data; K and the rows are kept, and with them their factorisation.
+        """Return the problem with other data; unchanged K and rows keep their factorisation.
 
-        Other ties have the names that are given with them, or none.
+        New ties have the names that are given with them, or none.
 
         >>> problem = ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.0])
         >>> float(problem.replace(load=[3.0]).load[0])
@@ -398,7 +398,7 @@ class ContactProblem:
         return ContactProblem._of_checked(checked, self._computed)
 
     def afresh(self) -> ContactProblem:
-        """Return the same problem without anything that has been computed from it."""
+        """Return a copy of the problem without computed results."""
         return ContactProblem._of_checked(self._values(), Computed())
 
     def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
@@ -406,7 +406,7 @@ class ContactProblem:
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
     def with_contacts(self, contacts: Indices) -> ContactProblem:
-        """Return the problem with some of its contacts only; what depends on K alone is not computed again."""
+        """Return the problem with some of its contacts only; results that depend on K alone are kept."""
         kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
@@ -418,7 +418,9 @@ class ContactProblem:
 
     @cached_property
     def is_near_one(self) -> bool:
-        """Return whether all unknowns have stiffness and no number is far from one; else `number_range` decides."""
+        """Return whether all unknowns have stiffness and no number is far from one; otherwise `number_range`
+        rescales.
+        """
         rows = [one.data for one in (self.normal, self.tie, self.tangent) if one is not None]
         lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
         largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)
@@ -426,7 +428,7 @@ class ContactProblem:
 
     @cached_property
     def is_small(self) -> bool:
-        """Return whether bodies, stiff all over, have so few unknowns and rows that condensing hardly costs time."""
+        """Return whether all unknowns have stiffness and are few, as are the rows, so that condensing is cheap."""
         rows = self.contacts + self.ties + (0 if self.tangent is None else self.tangent.shape[0])
         return max(self.dimension, rows) < WORTHWHILE and bool(self.diagonal.all())
 
@@ -445,7 +447,7 @@ class ContactProblem:
         return contacts | (self.gap == np.inf), ties
 
     def with_ties(self, ties: Indices) -> ContactProblem:
-        """Return the problem with some of its ties only, which keep their names."""
+        """Return the problem with some of its ties only, with their names."""
         ties = read_places("ties", ties, self.ties)
         names = tuple(map(self.tie_name, ties.tolist()))
         kept = self._values() | dict(tie_names=names, tie=self.tie[ties], tie_value=self.tie_value[ties])
@@ -453,14 +455,14 @@ class ContactProblem:
 
     @property
     def lock(self) -> Any:
-        """Return a lock, held while something is computed that problems with the same stiffness and rows share.
+        """Return the lock for computations that problems with the same stiffness and rows share.
 
-        Every process has its own: one that is forked while another thread holds it would wait for ever.
+        Every process has its own, since a process forked while another thread holds the lock would wait for ever.
         """
         return self._computed.locks.setdefault(os.getpid(), threading.RLock())
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the problem for copies and pickles, without anything that was computed from it."""
+        """Return the data for copies and pickles, without computed results."""
         return self._values()
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""The data of a contact problem, read and checked: a refusal names the argument, what came and what was expected."""
+"""Read and check the data of a contact problem; errors name the argument, what came and what was expected."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
 
-# Kinds of arrays that hold real numbers, Python's own (Fraction, Decimal) among them, and what others are called.
+# Kinds of arrays of real numbers, including Python objects such as Fraction and Decimal, and names of the others.
 KINDS = "biufO"
 OTHER_KINDS = {"c": "complex numbers", "U": "words", "S": "words", "T": "words", "M": "dates", "m": "durations"}
-# Programs print stiffness matrices with six or more digits; what is further from symmetric is another matrix.
+# Programs print stiffness matrices with at least six digits; a larger asymmetry is not one of rounding.
 SYMMETRY_TOLERANCE = 1e-6
-# Up to this size definiteness is decided at the door, by eigenvalues (a few milliseconds); above, by the factorisation.
+# Up to this size definiteness is checked on input, by eigenvalues (a few milliseconds), above by the factorisation.
 DEFINITENESS_CHECK_SIZE = 200
-# Numbers up to this power of two and down to its inverse need no other units: 1e24 and 1e-24.
+# Numbers between the inverse of this power of two (1e-24) and itself (1e24) need no scaling.
 FARTHEST = 80
-# Entries of a direction of negative curvature that a message gives.
+# The most entries of a direction of negative curvature in a message.
 CURVED_NAMED = 4
 
 T = TypeVar("T")
-# What cannot be changed anyway.
+# Immutable types.
 PLAIN = frozenset((type(None), float, int, bool, str))
 
 
 def read_only(value: T) -> T:
-    """Return the value; an array, a sparse matrix's arrays, and those in a tuple can no longer be changed.
+    """Return the value with all its arrays made read-only, those of sparse matrices and in tuples too.
 
-    Nothing is copied but an array that is a view of one which can be written to: that one belongs to somebody else.
+    An array is copied only if it is a view of a writable one, which another owner could change.
     """
     found: Any = value
     if type(found) in PLAIN or isinstance(found, ReadOnly):
@@ -64,7 +64,7 @@ def read_only(value: T) -> T:
 
 
 class ReadOnly:
-    """A frozen dataclass whose arrays are frozen with it, unpickled and copied ones too."""
+    """A frozen dataclass whose arrays are read-only, also after unpickling and copying."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
@@ -103,7 +103,7 @@ def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, 
     Raises
     ------
     InvalidProblem
-        Another shape, or no real numbers. NaN is none of its business.
+        Another shape, or no real numbers; NaN is not checked.
     """
     arrays = {name: (read_array(name, value), shape) for name, (value, shape) in values.items()}
     for name, (array, shape) in arrays.items():
@@ -140,7 +140,7 @@ def is_whole(value: Any) -> TypeGuard[int]:
 
 
 def is_masked(value: Any) -> bool:
-    """Return whether a value is a masked array; there are none where NumPy has not loaded their module yet."""
+    """Return whether a value is a masked array, without loading NumPy's module of them."""
     masked = sys.modules.get("numpy.ma")
     return masked is not None and isinstance(value, masked.MaskedArray)
 
@@ -211,7 +211,7 @@ def csr_rows(matrix: Any) -> Any:
 def rows_of_dense(dense: Array, kind: Any) -> Any:
     """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
     row, column = dense.nonzero()
-    rows = copy(_without_entries(kind, dense.shape))  # whose making, with all its checks, takes longer than the rest
+    rows = copy(_without_entries(kind, dense.shape))  # its checked constructor would take longer than the rest
     rows.indptr = np.zeros(len(dense) + 1, dtype=np.int32)
     np.bincount(row, minlength=len(dense)).cumsum(out=rows.indptr[1:])
     rows.data, rows.indices = dense[row, column], column.astype(np.int32)
@@ -237,14 +237,14 @@ def no_rows(n: int) -> Any:
 
 @lru_cache(maxsize=32)
 def _without_entries(kind: Any, shape: tuple[int, int]) -> Any:
-    """Return a matrix of zeros in a CSR format, which is shared and must not be changed."""
+    """Return a shared, read-only matrix of zeros in a CSR format."""
     zeros = read_only(kind(shape))
     zeros.has_canonical_format = True
     return zeros
 
 
 def read_gap(value: ArrayLike, size: int) -> Vector:
-    """Read initial gaps (m,); an infinite one is that of a contact that never closes."""
+    """Read initial gaps (m,); a contact with an infinite gap never closes."""
     gap = read_array("gap", value)
     gap = gap[None] if gap.ndim == 0 and size == 1 else gap
     if gap.shape == (size,) and (gap == -np.inf).any():
@@ -257,7 +257,9 @@ def read_gap(value: ArrayLike, size: int) -> Vector:
 
 
 def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix, float, float]:
-    """Read a stiffness; return K, its asymmetry, and the part of it that was rounding of digits along rigid motions."""
+    """Read a stiffness; return K, its asymmetry, and its relative change by restored rigid motions
+    (`printed_stiffness`).
+    """
     dense = not sp.issparse(value)
     if dense and (definite := _definite(value)) is not None:
         read_motions(motions, len(definite))
@@ -304,7 +306,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
 
 
 def _definite(value: Any) -> Array | None:
-    """Return a small array that is symmetric to the last digit and resists every motion; None for all others."""
+    """Return a small array that is exactly symmetric and clearly definite, None otherwise."""
     if isinstance(value, np.ndarray) and value.size > DEFINITENESS_CHECK_SIZE**2:
         return None
     K = read_array("stiffness", value)
@@ -325,7 +327,7 @@ def _symmetric(K: Any) -> bool:
 
 
 def _resists_every_motion(K: Array) -> bool:
-    """Return whether K is definite and resists every motion by more than lost digits could.
+    """Return whether K is definite by more than lost digits could account for.
 
     `clear_of_printing` scales by the powers of two nearest to 1/sqrt(K_jj): its eigenvalues are at least half of these.
     """
@@ -357,7 +359,7 @@ def _refuse_indefinite(K: Array) -> None:
 
 
 def _curved(K: Array, direction: Array) -> str:
-    """Return a direction of negative curvature in words, if its curvature is negative in rational numbers."""
+    """Return a text about a direction whose curvature is negative in rational arithmetic, else None."""
     z = direction / np.max(abs(direction))
     parts = [(int(j), Fraction(float(z[j]))) for j in np.flatnonzero(z)]
     curvature = sum(a * b * Fraction(float(K[i, j])) for i, a in parts for j, b in parts)
@@ -398,7 +400,7 @@ def read_friction(
     coefficient = read_coefficient(0.0 if friction is None else friction, m)
     origin = np.zeros((m, per_contact)) if slip_origin is None else read_array("slip_origin", slip_origin)
     if not m and not origin.size:
-        origin = np.zeros((0, per_contact))  # without contacts nothing says how many rows each would have
+        origin = np.zeros((0, per_contact))  # without contacts the number of rows per contact is unknown
     if origin.shape not in ((m * per_contact,), (m, per_contact)):
         raise InvalidProblem(
             f"slip_origin: expected shape ({m}, {per_contact}) or ({m * per_contact},), got {origin.shape}"
@@ -408,7 +410,7 @@ def read_friction(
 
 
 def read_coefficient(friction: ArrayLike, m: int) -> Vector:
-    """Return Coulomb's coefficient of every contact (m,), from one for all or one for each."""
+    """Return Coulomb's coefficient of every contact (m,), given as one number or one for each."""
     coefficient = read_array("friction", friction)
     if np.asarray(friction).dtype == bool:
         raise InvalidProblem(f"friction: expected a coefficient, got {shown(friction)}")

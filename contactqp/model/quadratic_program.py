@@ -1,4 +1,4 @@
-"""Quadratic programs in the form and signs of qpsolvers, and the contact problems that they are.
+"""Convert quadratic programs in the form and signs of qpsolvers to contact problems and back.
 
     minimise    1/2 x'P x + q'x
     subject to  G x <= h,   l <= C x <= u,   A x = b,   lb <= x <= ub
@@ -7,8 +7,8 @@ is the contact problem with K = P, f = -q. Its contacts are, in this order, the 
 ranges (upper before lower, range by range), the finite lower bounds and the finite upper bounds; its ties are the rows
 of A, the ranges with l = u and the bounds with lb = ub. A lower side is the contact -C_i x <= -l_i. The multipliers are
 the forces: z = l_N of the rows of G, y = nu of those of A, and z_box of qpsolvers is l_N of an upper bound less that of
-the lower one. Contacts and ties are called after what they are, with the number or the name of their range or unknown:
-"row 3", "range 4 upper", "lower 7", "tie 0", "range 5", "fixed 2"; "range limit upper", "lower x7".
+the lower one. Contacts and ties are named by kind and number, or by the name of their range or unknown: "row 3", "range
+4 upper", "lower 7", "tie 0", "range 5", "fixed 2"; "range limit upper", "lower x7".
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from contactqp.model.problem_data import read_array
 
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
 Names = tuple[list[str], list[str]]  # of contacts and of ties
-# How the contacts and ties that stand for bounds are called, before the number or name of the unknown.
+# The first words of the names of contacts and ties made of bounds, before the unknown.
 LOWER, UPPER, FIXED = "lower", "upper", "fixed"
 
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """A quadratic program with the arguments of `qpsolvers.Problem`; what a problem does not have is None.
+    """A quadratic program with the arguments of `qpsolvers.Problem`; missing ones are None.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class QuadraticProgram:
 
 
 def given_program(P: Any, q: Any, *others: Any) -> QuadraticProgram:
-    """Return the program that the arguments of `ContactProblem.from_qp` make, or P alone: a `qpsolvers.Problem`.
+    """Return the program given by the arguments of `ContactProblem.from_qp`, or by a `qpsolvers.Problem` as P.
 
     Raises InvalidProblem: there is no q.
     """
@@ -77,10 +77,10 @@ def contact_data(
     range_names: Sequence[str] | None = None,
     **unknown: Any,
 ) -> dict[str, Any]:
-    """Return the arguments of `ContactProblem` for a program as it came, with ranges; see `ContactProblem.from_qp`.
+    """Return the arguments of `ContactProblem` for a program with ranges; see `ContactProblem.from_qp`.
 
-    Raises InvalidProblem: there is no such argument, a matrix came without its right-hand side or the other way round,
-    shapes differ, a lower side is above the upper one, or names are not as many as what they name.
+    Raises InvalidProblem: an unknown argument, a matrix without its right-hand side or vice versa, wrong shapes, a
+    lower side above the upper one, or a wrong number of names.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _add_bounds(
 
 
 def quadratic_program(problem: Any) -> QuadraticProgram:
-    """Return the quadratic program that a frictionless problem is; see `ContactProblem.to_qp`."""
+    """Return the quadratic program of a frictionless problem; see `ContactProblem.to_qp`."""
     G, h = problem.normal, problem.gap
     bound = _bounds_of(problem)
     lb, ub = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)

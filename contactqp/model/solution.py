@@ -1,4 +1,6 @@
-"""Answers as data: a method's (`Candidate`), what a certificate says of one, and what a user gets (`Solution`)."""
+"""Define answers as data: the `Candidate` of a method, the `Certificate` that judges it, and the `Solution` for
+users.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,11 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.summary import Printed, html_of, place_of, summary_of, verdict_of, wrapped
 
-# What a verdict rests on.
+# The possible bases of a verdict.
 BOUNDS, STATE, FIGURES_ALONE = "bounds", "state", "figures"
-# Of what a certificate proves: that no other answer exists or is bounded too, or the only answer nearby.
+# The scope of proven bounds: for every answer, or for the only one nearby.
 GLOBALLY, LOCALLY = "global", "local"
-# What a problem determines: its displacement, or, where K does not see everything, its energy alone.
+# What a problem determines: the displacement, or only the energy where K is singular on free unknowns.
 BY_DISPLACEMENT, BY_ENERGY = "displacement", "energy"
 
 
@@ -32,7 +34,7 @@ FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity"
 
 @dataclass(frozen=True, eq=False)
 class Nothing(ReadOnly):
-    """The forces and lengths up to which an answer has none at an unknown or in a row."""
+    """The forces and lengths below which an answer counts as zero at an unknown or in a row."""
 
     force: Vector  # (n,) at unknowns [force]
     normal: Vector  # (m,) in the normal rows [length]
@@ -45,8 +47,8 @@ class Nothing(ReadOnly):
 ANSWER_PARTS = ("displacement", "normal_force", "friction_force", "tie_force")
 
 
-V = TypeVar("V")  # what the entries of a vector are kept in: doubles, extended or rational numbers
-F = TypeVar("F")  # the same for friction forces, which may have another shape, or be None
+V = TypeVar("V")  # type of vectors: doubles, extended or rational numbers
+F = TypeVar("F")  # type of friction forces, which may have another shape or be None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +67,12 @@ class Answer(AnswerOf[Vector, Array | None], ReadOnly):
 
 
 def _of_answer(name: str, doc: str) -> Any:
-    """Return the property that reads an array of the answer, as fast as an attribute of one's own."""
+    """Return a property that reads an array of the answer as fast as an attribute."""
     return property(attrgetter(f"answer.{name}"), doc=doc)
 
 
 class HoldsAnswer:
-    """A class that holds an `Answer` and shows the arrays of it as its own."""
+    """A class that holds an `Answer` and has the arrays of it as properties."""
 
     answer: Answer
     displacement: Vector = _of_answer("displacement", "Displacement (n,) of `answer` [length].")
@@ -85,7 +87,7 @@ class HoldsAnswer:
 
 @dataclass(frozen=True, eq=False)
 class Violations(ReadOnly):
-    """Every figure for every unknown, contact, tie, so that the worst can be named; all at least 0."""
+    """The figures at every unknown, contact and tie, so that messages can name the worst one; none is negative."""
 
     equilibrium: Vector  # (n,) |residual_j| / F_j (Oettli and Prager 1964)
     residual: Vector  # (n,) f - K u - E_N'l_N - E_T'l_T - A'nu [force]
@@ -96,7 +98,7 @@ class Violations(ReadOnly):
     slip_direction: Vector  # (m,) min(|s|, |l_T - mu l_N s/|s||), each in its own measure
     tie: Vector  # (k,) |A u - b| / (|A||u| + |b|)
     slip_measure: Vector  # (m,) |s| / |L| of the tangential rows, 0 without friction
-    turned: Vector  # (m,) by how much rounding a displacement to doubles turns friction that opposes its slip [force]
+    turned: Vector  # (m,) change of the friction force if the displacement is rounded to doubles [force]
     lengths: Vector  # (m,) L of the normal rows [length]
     tangential_lengths: Vector  # (m,) that of the tangential rows
     gap: Vector  # (m,) g - E_N u [length]
@@ -104,47 +106,48 @@ class Violations(ReadOnly):
     force_measure: Vector  # (m,) |l_N| as a force
     meeting: Vector  # (n,) F [force]
     intrinsic_size: float  # S of problem and answer [square root of energy]
-    nothing: Nothing  # forces and lengths up to which there are none
+    nothing: Nothing  # forces and lengths that count as zero
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate(ReadOnly, Printed):
-    """The verdict on an answer: its worst violations, dimensionless, and proven bounds on its errors.
+    """The verdict on an answer, with its largest dimensionless violations and proven bounds on its errors.
 
-    `passed` says that every figure is at most `tolerance` and every bound that could be had at most `error_tolerance`
-    (`force_bound` relative to the largest contact force); `proven` says that energy and force error could be bounded,
-    and not only estimated, as those of bodies too large to factorise.
+    `passed` is true if every figure is at most `tolerance` and every available bound at most `error_tolerance`
+    (`force_bound` relative to the largest contact force). `proven` is true if energy and force error were bounded and
+    not only estimated, as for bodies that are too large to factorise.
 
     With friction, `natural_map` measures Signorini's and Coulomb's law as one equation. It enters the verdict with four
-    times the tolerance, up to which the other figures imply it: it refuses nothing that they pass.
-    `uniqueness` is empty where this is found to be the only answer, and enters no verdict: an answer among several is
-    right. "several answers": others exist at this load; "several answers possible": none of the tests excludes them
-    (friction is above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not
-    unique": redundant contacts may share the force differently; "not examined": `notes` say why. `contraction` is the
+    times the tolerance, which the other figures imply, so that it refuses no answer that they pass.
+    `uniqueness` is empty if this is the only answer. It does not enter the verdict, since each of several answers is
+    right. "several answers": others exist at this load; "several answers possible": no test excludes them (friction is
+    above a critical coefficient, or contacts are too many for more than a sufficient bound); "forces not unique":
+    redundant contacts may share the force differently; "not examined": `notes` give the reason. `contraction` is the
     factor by which a step of the Tresca fixed-point iteration multiplies the error of its friction bounds near this
     answer.
 
-    `basis` is what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with friction,
-    the answer of its own combination of open, stick and slip, to which `distance` was measured. "figures": the figures
-    alone, because neither could be had; `notes` or `reasons` say why.
+    `basis` states what the verdict rests on. "bounds": the bounds on the error, without friction. "state": with
+    friction, the solution of the linear system of its own combination of open, stick and slip, from which `distance` is
+    measured. "figures": the figures alone; `notes` or `reasons` give the reason.
 
-    `scope` says of what `proven` holds. "global": the bounds hold for every equilibrium, so always without friction,
-    and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
+    `scope` states for which answers `proven` holds. "global": the bounds hold for every equilibrium, so always without
+    friction, and with it where it is below a constant of the bodies (`contactqp.certificate.frictional_bounds`).
     "local": of the only equilibrium whose displacement is within `radius` of this one, in the energy norm, or, where
     contacts alone hold a body, in that of v'Kv + sum K_jj v_j^2; others further away are not excluded. Where nothing
-    resists a rigid motion it is the only one but for that motion, which changes no strain and no force; a note says so.
+    resists a rigid motion it is unique up to that motion, which changes neither strain nor forces; a note states it.
     Either error is infinite where the strain, or the contact forces, of the equilibrium may vanish. With friction
-    `force_bound` is that of a contact's whole force, in all directions but tangents whose unknowns are all supported:
-    friction along these moves nothing, any within the cone would do, and a note says so where contacts stick.
+    `force_bound` is that of a contact's whole force, except along tangents whose unknowns are all supported: friction
+    along these has no effect, any value within the cone is right, and a note states it where contacts stick.
 
-    Where unknowns have no stiffness, forces on them have no energy: `force_error` then compares the lengths of the
-    vectors of all forces, rows having entries near one.
+    Where unknowns have no stiffness, forces on them have no energy, and `force_error` compares Euclidean norms of all
+    forces, with rows scaled to entries near one.
 
-    `determined` is "energy" where K does not see everything, as in a linear program: displacement and forces may be one
-    of many, and the verdict asks that `energy_bounds` are at most `tolerance` of the energy's larger term apart;
-    `energy_error` is then relative to sqrt(2 |f'u*|) where nothing is strained, |u*|_K being zero. Where
+    `determined` is "energy" where K is singular on unknowns that constraints leave free, as in a linear program:
+    displacement and forces may then be one of many, and the verdict requires that `energy_bounds` differ by at most
+    `tolerance` times the larger term of the energy; `energy_error` is then relative to sqrt(2 |f'u*|) where nothing is
+    strained, |u*|_K being zero. Where
     closed contacts and ties contradict each other by rounding of the data, nothing is `proven`, and `energy_bounds` are
-    those of a problem whose gaps are moved by as much, which `reasons` says.
+    those of a problem whose gaps are changed by that much, as stated in `reasons`.
     """
 
     equilibrium: float  # componentwise backward error
@@ -161,12 +164,12 @@ class Certificate(ReadOnly, Printed):
     energy_error: float | None  # >= |u - u*|_K / |u*|_K, absolute where |u*|_K vanishes
     force_error: float | None  # >= |l - l*|_W / |l*|_W, absolute where l* vanishes
     force_bound: Vector | None  # (m,) >= |l_i - l_i*| [force]
-    reasons: tuple[str, ...]  # why a bound is None
+    reasons: tuple[str, ...]  # reasons for bounds that are None
     grazing: tuple[int, ...]  # contacts whose gap and force both vanish
     failures: tuple[str, ...]  # what failed, where, by how much
     notes: tuple[str, ...]
-    # With friction, what speaks against this being the only answer; without it displacements and strains are unique,
-    # and a note says so where forces are not.
+    # With friction, findings against uniqueness; without it displacements and strains are unique, and a note states
+    # where forces are not.
     uniqueness: tuple[str, ...]
     # From 1 on the Tresca fixed-point iteration does not converge without damping; None beyond 100 closed contacts.
     contraction: float | None
@@ -176,9 +179,9 @@ class Certificate(ReadOnly, Printed):
     proven: bool
     basis: str  # "bounds", "state" or "figures"
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper [force * length], where they were formed
-    determined: str = BY_DISPLACEMENT  # "displacement" or "energy": what the problem determines at all
-    distance: float | None = None  # from the answer of its own combination, relative; None unless `basis` is "state"
-    scope: str | None = None  # of what `proven` holds: "global", "local" (within `radius`), None: nothing is proven
+    determined: str = BY_DISPLACEMENT  # "displacement" or "energy"
+    distance: float | None = None  # relative, to the solution for its own states; None unless `basis` is "state"
+    scope: str | None = None  # "global", "local" (within `radius`), or None where nothing is proven
     radius: float | None = None  # [square root of energy], of the local statement
     violations: Violations | None = field(
         repr=False, default=None
@@ -207,7 +210,7 @@ class Certificate(ReadOnly, Printed):
 
 
 def _together(reasons: Iterable[str]) -> Iterator[str]:
-    """Yield each reason once, after all that it is a reason for."""
+    """Yield each reason once, after the names of all bounds that it concerns."""
     named: dict[str, list[str]] = {}
     for text in reasons:
         what, _, reason = text.partition(": ")
@@ -229,15 +232,13 @@ class LocalCertificate(ReadOnly, Printed):
     slip_direction: float  # min(|u_T|, |r_T + mu r_N u_T/|u_T||), each in its own measure
     joints: float  # |V'r + R l + s| / (|V|'|r| + |R||l| + |s|)
     failures: tuple[str, ...]
-    uniqueness: tuple[
-        str, ...
-    ]  # with friction, what speaks against these being the only forces; no part of the verdict
+    uniqueness: tuple[str, ...]  # with friction, findings against uniqueness; no part of the verdict
     notes: tuple[str, ...]
     tolerance: float
     passed: bool
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
-    # What `certify_local` proves, no part of the verdict (`contactqp.certificate.frictional_bounds`).
+    # Bounds of `certify_local`, no part of the verdict (`contactqp.certificate.frictional_bounds`).
     force_error: float | None = None  # >= |r - r*|_W / |r*|_W, absolute where r* vanishes
     force_bound: Vector | None = None  # (m,) >= |r_i - r_i*| [force]
     scope: str | None = None  # as that of `Certificate`; "local": the only forces within `radius`, in the norm of W
@@ -277,9 +278,9 @@ class Candidate(HoldsAnswer):
     """
 
     answer: Answer  # its friction is None unless the method enforces friction itself
-    iterations: int | None = 0  # None: the backend does not say
-    claimed: bool = True  # does the method itself call this solved?
-    status: str = ""  # the backend's own words
+    iterations: int | None = 0  # None if the backend does not report it
+    claimed: bool = True  # the method's own flag "solved"
+    status: str = ""  # the status text of the backend
     history: tuple[float, ...] = ()  # the method's own measure of progress, one number an iteration
     contact_status: NDArray[np.str_] | None = None  # (m,) of open, stick, slip, where the method enforces friction
 
@@ -290,12 +291,12 @@ class Work:
 
     factorisations: int = 0  # of the stiffness
     back_substitutions: int = 0  # right-hand sides solved with them
-    iterations: int | None = 0  # of the method; None where it does not say
-    retained: int = 0  # unknowns of the problem that the method saw
+    iterations: int | None = 0  # of the method, None if it does not report them
+    retained: int = 0  # unknowns of the problem passed to the method
     polish_corrections: int = 0  # changes of the method's contact set while polishing
     solver: str = ""  # "dense", "superlu", "pardiso", or "pyamg" where nothing is factorised
     krylov_iterations: int = 0  # of conjugate gradients, the certificate's included
-    routes: tuple[str, ...] = ()  # where the first answer was refused: what was tried, one after another, and what came
+    routes: tuple[str, ...] = ()  # further attempts after a refused first answer, with their results
 
     def after(self, earlier: Work) -> Work:
         """Return the sum of this work and earlier work."""
@@ -310,7 +311,7 @@ class Raw(ReadOnly, HoldsAnswer):
     """A method's answer before polishing, with a certificate that is computed on first access."""
 
     problem: ContactProblem = field(repr=False)
-    answer: Answer  # its friction is zeros or None: there is a raw answer without friction alone
+    answer: Answer  # without friction forces, as raw answers exist only without friction
     claimed: bool
     status: str
     judge: Callable[..., Certificate] = field(repr=False)  # `contactqp.certificate.certificate.compute_certificate`
@@ -336,13 +337,13 @@ class FreeMotion(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Final:
-    """The answer that is certified: a candidate, polished or as it came, its free motions at rest."""
+    """The answer to be certified: a candidate, polished or not, without components along free motions."""
 
     answer: Answer
     free_motions: tuple[FreeMotion, ...] = ()
     corrections: int = 0  # of the contact set
     polished: bool = False
-    contact_status: NDArray[np.str_] | None = None  # of an approximate method; None: as the certificate measures it
+    contact_status: NDArray[np.str_] | None = None  # of an approximate method; None for the default of the certificate
 
 
 @computes
@@ -355,7 +356,7 @@ class Solution(ReadOnly, HoldsAnswer):
     """
 
     problem: ContactProblem = field(repr=False)
-    answer: Answer  # its arrays are also `displacement`, `normal_force`, `friction_force` and `tie_force` of this
+    answer: Answer  # its arrays are also properties of the solution
     contact_status: NDArray[np.str_]  # (m,) of open, closed, grazing, stick, slip
     free_motions: tuple[FreeMotion, ...]
     certificate: Certificate
@@ -435,11 +436,13 @@ class Solution(ReadOnly, HoldsAnswer):
         return import_module("contactqp.analysis.derivatives").derivative(self, of, with_respect_to, direction)
 
     def jacobian(self, of: str, with_respect_to: str, return_bound: bool = False) -> Any:
-        """Return the derivatives by all entries of a parameter: `contactqp.analysis.derivatives.jacobian`."""
+        """Return the derivatives with respect to all entries of a parameter:
+        `contactqp.analysis.derivatives.jacobian`.
+        """
         return import_module("contactqp.analysis.derivatives").jacobian(self, of, with_respect_to, return_bound)
 
     def pullback(self, of: str, weights: Any, with_respect_to: str, return_bound: bool = False) -> Any:
-        """Return the gradient of weights . quantity by a parameter.
+        """Return the gradient of weights . quantity with respect to a parameter.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Tables of answers for people to read: what moves, what presses, whether it is certified; as text and as HTML."""
+"""Summarise answers in tables of displacements, contact forces and verdicts, as text and as HTML."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ from contactqp.model.arrays import Array, Vector, own_floating_point
 from contactqp.model.names import plain_name
 from contactqp.model.problem_data import is_whole
 
-# Rows of a table, at most; of more the largest are shown.
+# The most rows of a table, which shows the largest ones.
 MOST = 10
 MOST_INSTANTS = 12
-# Events that are told one by one; of more, those of one kind at one time are told together, and so many of these.
+# The most events listed one by one; more are grouped by kind and time, and this is the most groups.
 FEW_EVENTS, MOST_EVENTS = 8, 16
-# Gaps and slips below this part of the lengths that meet, and forces below it of those that meet, are the rounding of
-# zero.
+# Gaps, slips and forces below this part of the terms of their sums are rounding errors of zero.
 ROUNDING_OF_ZERO = 1e-14
-# Forces below this part of the largest of a history are the rounding of zero.
+# Forces below this part of the largest of a history are rounding errors of zero.
 ROUNDING_OF_FORCES = 1e-12
-# Characters of a line of text, and a space at which no line ends.
+# The length of a line of text, and a space at which lines are not broken.
 WIDTH, UNBROKEN = 80, "\xa0"
 
 
@@ -66,7 +65,7 @@ class Table:
 
 
 class Printed:
-    """What a notebook shows as `print` does."""
+    """A class whose HTML in a notebook is the same table as printed text."""
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
@@ -76,7 +75,7 @@ R = TypeVar("R")
 
 
 class RowsOf(Sequence[R], Generic[R]):
-    """A table that is a sequence of its rows."""
+    """A sequence of rows that is printed as a table."""
 
     rows: tuple[R, ...]
 
@@ -95,21 +94,21 @@ class RowsOf(Sequence[R], Generic[R]):
 
 @own_floating_point
 def summary_of(solution: Any) -> str:
-    """Return what a solution says in at most some forty lines of 80 columns: verdict, contacts, displacements."""
+    """Return the verdict, contacts and displacements of a solution in about forty lines of 80 columns."""
     return "\n".join([*headline(solution), *(table.text() for table in tables_of(solution))])
 
 
 @own_floating_point
 def html_of(solution: Any) -> str:
-    """Return the same as HTML, for notebooks."""
+    """Return the summary as HTML, for notebooks."""
     lines = "<br>".join(html.escape(line) for line in headline(solution))
     return f"<p>{lines}</p>" + "".join(table.html() for table in tables_of(solution))
 
 
 def headline(solution: Any, energy: float | None = None) -> list[str]:
-    """Return the method with its verdict, and what the certificate says if it refuses the answer or notes something.
+    """Return the method with its verdict, and the failures and notes of the certificate.
 
-    `energy` is that to be told, of the solution by default.
+    `energy` is the energy that is printed, by default that of the solution.
     """
     certificate = solution.certificate
     size = number(solution.energy if energy is None else energy)
@@ -127,7 +126,7 @@ def _first_lines(text: str) -> list[str]:
 def folded(text: str, first: str, others: str) -> list[str]:
     """Return a text as lines of at most 80 columns with these indents.
 
-    No line parts a number from its unit, or from the name before it.
+    Numbers are not separated from their units or from names before them.
     """
     bound = re.sub(r"(?<=\d) (?=[^\W\d])|(?<=tolerance) (?=\d)", UNBROKEN, text)
     lines = textwrap.wrap(bound, WIDTH, initial_indent=first, subsequent_indent=others)
@@ -144,7 +143,7 @@ def verdict_of(certificate: Any) -> str:
 
 
 def tables_of(solution: Any) -> list[Table]:
-    """Return the tables of contacts, displacements and ties; of long ones the rows with the largest numbers."""
+    """Return the tables of contacts, displacements and ties, limited to the rows with the largest numbers."""
     problem, length, force = solution.problem, solution.problem.units.length, solution.problem.units.force
     found = []
     if problem.contacts:
@@ -158,7 +157,7 @@ def tables_of(solution: Any) -> list[Table]:
 
 
 def unknowns_table(solution: Any, count: int) -> Table:
-    """Return the table of the first unknowns of a solution; of many those whose displacement has the largest energy."""
+    """Return the table of the first `count` unknowns, of many those whose displacement has the largest energy."""
     problem, u = solution.problem, solution.displacement[:count]
     diagonal = problem.diagonal[:count]
     shown = largest(abs(u) * np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
@@ -199,13 +198,15 @@ def _place(point: Vector) -> str:
 
 
 def _most_telling(status: Any, force: Vector, gap: Vector | None = None) -> Sequence[int]:
-    """Return the contacts to be shown in their own order: of many those that slip, then those of the largest forces."""
+    """Return the contacts to be shown, in ascending order: of many, slipping ones first, then those with the largest
+    forces.
+    """
     nearness = [] if gap is None else [-np.where(np.isfinite(gap), gap, np.inf)]
     return largest((np.asarray(status) == "slip").astype(float), force, *nearness)
 
 
 def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
-    """Return how many contacts there are in each state, and how many of them are shown."""
+    """Return a title with the number of contacts in each state and of those shown."""
     if not frictional:
         return f"{_counted('contact', len(status), shown)}; {count_closed(status)} closed"
     count = {name: int(np.sum(np.asarray(status) == name)) for name in ("slip", "stick", "open", "closed", "grazing")}
@@ -215,7 +216,7 @@ def _title_of_contacts(status: Any, frictional: bool, shown: int) -> str:
 
 
 def count_closed(status: Any) -> int:
-    """Return how many of the statuses are those of a contact that is closed, whether it sticks or slips."""
+    """Return the number of closed contacts, sticking and slipping ones included."""
     return int(np.sum(np.isin(status, ("closed", "stick", "slip"))))
 
 
@@ -235,7 +236,7 @@ class Contacts:
 
 
 def without_rounding(solution: Any) -> Contacts:
-    """Return what a solution says of its contacts, with zeros for what is rounding beside the terms it is the sum of.
+    """Return the forces, gaps and slips of a solution, with zeros in place of rounding errors.
 
     A gap g - E_N u is measured by |g| + |E_N||u|, a slip E_T u - slip_origin likewise, and a force by
     |E_i|(|K||u| + |f| + |E_N|'|l_N|) / |E_i|^2: the forces that meet at the unknowns which the contact touches.
@@ -267,7 +268,7 @@ def _nothing_below(sizes: Array, values: Array) -> Array:
 
 
 def largest(*sizes: Vector) -> Sequence[int]:
-    """Return the places of the largest numbers, by the first sizes and then the others, in their own order."""
+    """Return the indices of the largest numbers, by the first array and then the others, ascending."""
     order = np.lexsort([-size for size in reversed(sizes)])[:MOST]
     return [int(i) for i in np.sort(order)]
 
@@ -295,7 +296,7 @@ def number(value: float) -> str:
 
 
 def wrapped(*texts: str) -> list[str]:
-    """Return texts as lines of at most 80 columns, each set in by two and then by four."""
+    """Return texts as lines of at most 80 columns, indented by two and then by four."""
     return [line for text in texts for line in folded(text, "  ", "    ")]
 
 
@@ -310,8 +311,8 @@ def history_table(
 ) -> str:
     """Return instants of a history with states, largest forces and smallest gaps of their contacts, and its events.
 
-    Of many instants some are shown, evenly chosen, and that of the largest force. Where events are not `exact` they are
-    told at the first instant that has them.
+    Of many instants an even selection is shown, with that of the largest force. Events that are not `exact` are listed
+    at the first instant after them.
 
     Parameters
     ----------
@@ -353,7 +354,9 @@ def history_table(
 
 
 def _instant(solution: Any, states: Sequence[str], noise: float) -> list[str]:
-    """Return how many contacts are in each state, the largest normal force and where, and the largest friction."""
+    """Return the number of contacts in each state, the largest normal force with its contact, and the largest
+    friction.
+    """
     status, force = np.asarray(solution.contact_status), solution.normal_force
     count = {name: int(np.sum(status == name)) for name in ("slip", "stick")}
     count["closed"] = count_closed(status)
@@ -375,7 +378,7 @@ def events_together(
 ) -> list[tuple[str, str, float, int]]:
     """Return kind, contacts in words, time and number of the events of a history.
 
-    Of more than a few those of one kind at one time are one: ``("closed", "foot 0 and 20 others", 1.0, 21)``.
+    Many events of one kind at one time are grouped: ``("closed", "foot 0 and 20 others", 1.0, 21)``.
     """
     named = [(event.kind, event.name or contact_name(event.contact), event.time) for event in events]
     if len(named) <= few:
@@ -430,11 +433,11 @@ def local_summary(solution: Any) -> str:
 
 
 def place_of(name: str | int, count: int, name_of: Callable[[int], str], what: str) -> int:
-    """Return the place, among so many, of what has a name, also as other codes spell it (``2.UX`` for ``2.x``).
+    """Return the index of a name, also in the spelling of other codes (``2.UX`` for ``2.x``).
 
-    A number is the place itself; one below zero counts from the end.
+    A number is the index itself; a negative one counts from the end.
 
-    Raises InvalidProblem: there is none; the nearest names are given.
+    Raises InvalidProblem: there is none; the message gives the nearest names.
 
     Parameters
     ----------
