@@ -33,16 +33,14 @@ from contactqp.analysis.rate_data import (
     NoRates,
     Rates,
     errors_of,
-    moves,
-    unheld,
 )
 from contactqp.analysis.rates import Linearised
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
+from contactqp.certificate.uniqueness import moved_by, unheld, unique_beside
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.floating import UNRESISTED
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_point
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
@@ -395,9 +393,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     motions = unheld(linearised.solution, linearised.closed)
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
-    rows = problem.normal[np.isfinite(problem.gap)] if of == "gap" else problem.normal[:0]
-    seen = any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions)
-    return FREE if driven or seen or (motions and of in ("displacement", "slip")) else None
+    return FREE if driven or not unique_beside(motions, problem, of) else None
 
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:
@@ -416,6 +412,8 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         return Derivative(None, None, None, False, reason=str(none))
     if of in FORCES and (back.shared or ahead.shared) and not linearised.only(of):
         return Derivative(None, None, None, False, reason=REDUNDANT)
+    if not unique_beside(back.motions + ahead.motions, linearised.problem, of):
+        return Derivative(None, None, None, False, reason=FREE)
     left, right = (_of_rates(linearised, of, rates, direction)[0] for rates in (back, ahead))
     same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
     if of == "energy" and not same:
@@ -478,7 +476,7 @@ def read_direction(
         if not np.all(np.isfinite(given)):
             raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}")
         loads = given[None] if parameter == "load" else np.zeros((0, problem.dimension))
-        driven = moves(loads, motions)
+        driven = float(moved_by(motions, loads))
         return Direction(**(vars(zero) | {parameter: given.reshape(expected), "driven": driven}))
     change = read_matrix("direction", direction)
     expected = problem.stiffness.shape if parameter == "stiffness" else problem.normal.shape
@@ -489,12 +487,12 @@ def read_direction(
         closing = np.asarray(change @ u)
         changed: dict[str, Any] = dict(
             turned=-np.asarray(change.T @ push), closing=-closing, work=float(push @ closing),
-            driven=moves(change, motions), rows=change,
+            driven=float(moved_by(motions, change)), rows=change,
         )  # fmt: skip
         return Direction(**(vars(zero) | changed))
     if float(abs(change - change.T).max()) > SYMMETRIC * float(abs(change).max()):
         raise InvalidProblem("direction: expected a symmetric matrix, as the stiffness is one")
     moved = np.asarray(change @ u)
-    driven = moves(change, motions)
+    driven = float(moved_by(motions, change))
     strained: dict[str, Any] = dict(strained=-moved, work=0.5 * float(u @ moved), driven=driven, stiffness=change)
     return Direction(**(vars(zero) | strained))

@@ -13,13 +13,11 @@ from contactqp.certificate.critical_friction import critical_friction
 from contactqp.errors import Unsupported
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.refinement import INVISIBLE, ROUNDED_AWAY
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector, zero_beneath
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import AnswerOf, Solution
+from contactqp.model.solution import AnswerOf
 
 # Parameters that are vectors, or one for each direction of slip.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
@@ -142,11 +140,12 @@ class Rates(AnswerOf[Vector, Array]):
     bound: Parts | None = None
     shared: bool = False  # whether contacts that close along the direction share their forces in many ways
     off: Parts | None = None  # what data that the answer makes are off by: -dK u, whole gaps, own friction
+    motions: tuple[Vector, ...] = ()  # what bodies may move besides along the direction
 
     def reversed(self) -> Rates:
         """Return the rates towards minus a direction from those along its reverse."""
-        kept: dict[str, Any] = dict(status=self.status, bound=self.bound, shared=self.shared, off=self.off)
-        return Rates(**{name: 0.0 - value for name, value in vars(self).items() if name not in kept}, **kept)
+        kept = ("status", "bound", "shared", "off", "motions")
+        return Rates(**{name: one if name in kept else 0.0 - one for name, one in vars(self).items()})
 
 
 def with_reaction(
@@ -476,24 +475,3 @@ def all_held(
             if np.any(abs((extend(given) - held).double()[where]) > nothing[where]):
                 return False
     return True
-
-
-def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
-    """Return the free motions of an answer that no closed contact holds, such as one that pushes in another sharing.
-
-    They are zero where they are rounding in the square root of energy.
-    """
-    found = [motion.direction for motion in solution.free_motions]
-    unit = unknown_scale(solution.problem) if found else np.ones(0)
-    if found and closed is not None and len(closed):
-        basis = np.column_stack([z / np.max(abs(z) / unit) for z in found])
-        rows = sp.csr_array(solution.problem.normal[closed])
-        lengths = np.sqrt(rows.power(2) @ unit**2)[:, None]
-        values, rotation = right_singular((rows @ basis) / np.where(lengths > 0, lengths, 1.0))
-        found = list((basis @ rotation[int(np.sum(values > UNRESISTED)) :].T).T)
-    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
-
-
-def moves(rows: Any, motions: list[Vector]) -> float:
-    """Return 1 where a motion moves a row, more than its rounding, else 0."""
-    return float(any(np.any(abs(rows @ motion) > UNRESISTED * (abs(rows) @ abs(motion))) for motion in motions))

@@ -61,6 +61,7 @@ from contactqp.analysis.rate_data import (
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
 from contactqp.certificate import bounds
+from contactqp.certificate.uniqueness import unheld
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
@@ -295,23 +296,18 @@ class Linearised:
     @property
     def irregular(self) -> str | None:
         """Return why there are no rates whatever the direction, with friction."""
-        if not self.problem.frictional:
+        mu, free = self.problem.friction, self.borders.free
+        if mu is None or not self.problem.frictional:
             return None
         if self.system is not None:
             return None if self.system.regular or self.shares else SINGULAR
-        free = self.borders.free
-        many = len(free) > 1 and bool(self.solution.certificate.uniqueness)  # all slips of one contact are found
-        many = many and not self._begin_in_one_way
-        return f"{named(self.problem, free)} {IN_SPACE}" if many else None
-
-    @property
-    def _begin_in_one_way(self) -> bool:
-        """Return whether contacts that may begin to slip in space, alone, have one answer to every change of data."""
-        others, mu = np.setdiff1d(self.closed, self.borders.free), self.problem.friction
-        assert mu is not None
-        slips = np.any((self.status[others] != STICK) & (mu[others] > 0))
-        alone = len(self.borders.free) == len(self.undecided) and not slips
-        return alone and begin_in_one_way(self.problem, self.borders.free, others, self.status)
+        if len(free) < 2 or not self.solution.certificate.uniqueness:  # all slips of one contact are found
+            return None
+        # Contacts that may begin to slip, alone, may have one answer to every change of data.
+        others = np.setdiff1d(self.closed, free)
+        alone = len(free) == len(self.undecided) and not np.any((self.status[others] != STICK) & (mu[others] > 0))
+        in_one_way = alone and begin_in_one_way(self.problem, free, others, self.status)
+        return None if in_one_way else f"{named(self.problem, free)} {IN_SPACE}"
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
         """Return the rates towards minus and plus a direction.
@@ -402,10 +398,12 @@ class Linearised:
         tangents = np.zeros(shape_of_tangents(problem))
         parts = Parts(found.displacement, force, tangents, found.tie_force[:k].copy())
         many = any(bounds.REDUNDANT in one for one in found.certificate.reasons)
-        shared = bool(np.any(found.normal_force > 0)) and many
-        rates = replace(with_reaction(problem, direction, parts, tangents, status, None), shared=shared)
-        shared = self.redundant or (shared and not self.is_sparse)
-        return self._carried(rates, direction) if shared else self._bounded(rates, direction) or rates
+        rates = with_reaction(problem, direction, parts, tangents, status, None)
+        shared = many and bool(np.any(found.normal_force > 0))
+        rates = replace(rates, shared=shared, motions=tuple(unheld(found, None)))
+        if self.redundant or (shared and not self.is_sparse):
+            return self._carried(rates, direction)
+        return self._bounded(rates, direction) or rates
 
     @property
     def _resultant(self) -> Vector:
@@ -424,7 +422,7 @@ class Linearised:
         known = self.extended_answer if direction.by_answer else None
         sides = self.grazing[pushes], self.grazing[~pushes]
         found = self._system(status).where_signs_hold(direction, self.push, known, sides, 1.0)
-        return None if found is None else replace(found, status=self.status)
+        return None if found is None else replace(found, status=self.status, motions=rates.motions)
 
     def _carrying(self, gap: Vector, tie_value: Vector) -> tuple[Indices, Solved] | None:
         """Return independent contacts that carry all as gaps (m,) and tie values (k,) change, and the answer on them.
@@ -463,7 +461,9 @@ class Linearised:
             apart = repeated(self.problem, direction.rows, sides[1], system.closed)
             sides, margin = (joining, np.setdiff1d(sides[1], apart)), -1.0
         exact = system.where_signs_hold(direction, self.push, known, sides, margin)
-        return without if exact is None else replace(exact, status=rates.status, shared=rates.shared)
+        if exact is None:
+            return without
+        return replace(exact, status=rates.status, shared=rates.shared, motions=rates.motions)
 
     def _among_states(self, direction: Direction) -> Rates:
         """Return the rates with friction of the one combination of states that they lead to."""

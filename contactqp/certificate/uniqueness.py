@@ -6,24 +6,31 @@ combination of these rows but one of ties alone vanishes.
 Displacements: `contactqp.critical_friction` where the answer is the only one at every load; at this load, in the
 plane and with few contacts, the answers of all combinations of open, stick and slip are counted
 (`contactqp.certificate.other_answers`).
+Bodies that are free to move have many displacements, which differ by their motions; what these do not change is unique.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.certificate.critical_friction import LARGEST_RATIO, CriticalFriction, critical, too_many
 from contactqp.certificate.other_answers import MOST_COUNTED, several_answers
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS, width_of
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Violations
+from contactqp.model.solution import Answer, Solution, Violations
 
 # Contacts with friction up to which bounds are looked for in every answer to a case: less than half of its solution.
 MOST_PROVEN = 200
@@ -287,3 +294,31 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
 def _unit(rows: Array) -> Array:
     length: Vector = np.linalg.norm(rows, axis=1)
     return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
+
+
+def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
+    """Return the free motions of an answer that no closed contact holds, such as one that pushes in another sharing.
+
+    They are zero where they are rounding in the square root of energy.
+    """
+    found = [motion.direction for motion in solution.free_motions]
+    unit = unknown_scale(solution.problem) if found else np.ones(0)
+    if found and closed is not None and len(closed):
+        basis = np.column_stack([z / np.max(abs(z) / unit) for z in found])
+        rows = sp.csr_array(solution.problem.normal[closed])
+        lengths = np.sqrt(rows.power(2) @ unit**2)[:, None]
+        values, rotation = right_singular((rows @ basis) / np.where(lengths > 0, lengths, 1.0))
+        found = list((basis @ rotation[int(np.sum(values > UNRESISTED)) :].T).T)
+    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
+
+
+def moved_by(motions: Iterable[Vector], rows: Any) -> bool:
+    """Return whether the product of rows (p, n) with a motion is more than its rounding."""
+    return any(bool(np.any(abs(rows @ z) > UNRESISTED * (abs(rows) @ abs(z)))) for z in motions)
+
+
+def unique_beside(motions: Sequence[Vector], problem: ContactProblem, of: str) -> bool:
+    """Return whether a quantity, by its name in `Solution.derivative`, is the same whatever motions are added."""
+    if of == "gap":
+        return not moved_by(motions, problem.normal[np.isfinite(problem.gap)])
+    return not motions or of not in ("displacement", "slip")

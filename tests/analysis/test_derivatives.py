@@ -345,6 +345,24 @@ def test_gaps_of_bodies_that_are_free_to_move_are_not_unique() -> None:
     assert free.derivative("normal_force", "gap", [0.0, 1.0]).value == pytest.approx([0.0, -9.0])  # those are unique
 
 
+def test_redundant_contacts_may_set_free_what_they_hold() -> None:
+    """A point in a wedge and on a floor at its apex: lifted by the floor, it moves between the walls."""
+    seen = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
+    walls = [[-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [-1.0, 0.0, 0.0]]
+    problem = cq.ContactProblem(seen, [-1.0, 0.0, 0.0], walls, [0.0, 0.0, 0.0])
+    solution, exact = cq.solve(problem), cq.exact(problem)
+    for of in ("displacement", "gap"):
+        rate = solution.derivative(of, "gap", [0.0, 0.0, -1.0])
+        assert rate.right is None
+        assert rate.reason == exact.derivative(of, "gap", [0.0, 0.0, -1.0]).reason
+    energy = solution.derivative("energy", "gap", [0.0, 0.0, -1.0])
+    assert (energy.left, energy.right) == (0.0, 1.0)
+    sinks = solution.derivative("displacement", "gap", [1.0, 1.0, 1.0])
+    np.testing.assert_allclose(
+        sinks.right, exact.derivative("displacement", "gap", [1.0, 1.0, 1.0]).right.astype(float)
+    )
+
+
 def test_bodies_free_to_slide_have_the_rates_of_what_is_determined() -> None:
     """Two blocks on a floor that nothing holds sideways: weights change the forces beneath, pushes are not borne."""
     K = np.zeros((4, 4))
