@@ -16,6 +16,9 @@ and grows where the residual of the natural map does not fall (proximal point, A
 
 A step is a regular problem however singular W is; its fixed points are the answers of W. The weight a falls while
 Newton's method finds proximal points quickly, and grows where it does not.
+
+`drawn_combinations` starts Newton's method from drawn combinations of open, stick and slip, because bodies that
+wedge themselves (large friction, few springs) have many points from which no step lowers the residual any further.
 """
 
 from __future__ import annotations
@@ -183,3 +186,80 @@ def _regular(form: LocalForm, centre: Iterate, weight: float) -> LocalForm:
     nearby.W = form.W + weight * (sp.identity(size, format="csr") if form.sparse else np.eye(size))
     nearby.q = form.q - weight * centre.force.ravel()
     return nearby
+
+
+# Steps at full length from every combination, before those that have to lower the residual; and the most of the latter.
+FULL_STEPS, LOWERING_STEPS = 12, 25
+# What drawn combinations may cost, about a second: counted, not timed, so that answers are the same anywhere. A
+# step takes an overhead and the number of equations cubed.
+DRAWN_OPERATIONS, STEP_OVERHEAD = 1e9, 1.5e5
+# How often a contact is open, sticks and slides.
+DRAWN = (0.2, 0.35, 0.45)
+# Parts of a drawn system beneath this, of its largest, are rounding.
+DRAWN_RANK = 1e-10
+# An error of this part of the forces is near an answer; forces beyond so many times those of the start are passed over.
+NEAR_AN_ANSWER, MOST_WEDGED = 1e-6, 1e3
+
+
+def drawn_combinations(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
+    """Yield where Newton's method comes to from combinations of states and directions of slip, drawn by a fixed seed.
+
+    Steps at full length pass over points from which no step lowers the residual, and lowering steps follow them. What
+    is neither near an answer nor nearer than all before is passed over, and so are wedges whose contacts press each
+    other with far larger forces than those that balance the load at the start.
+    """
+    rng, left, count, best = np.random.default_rng(form.m), DRAWN_OPERATIONS, 0, np.inf
+    a_step = STEP_OVERHEAD + (len(form.q) + form.joints) ** 3
+    while left > 0 and not time_is_up():
+        drawn = _drawn(form, rng)
+        passed, taken = _at_full_length(form, drawn)
+        found = newton(form, passed, LOWERING_STEPS)
+        left -= a_step * (1 + taken + found.iterations + len(STEP_LENGTHS))
+        count += 1
+        if found.size > MOST_WEDGED * start.size:
+            continue
+        if found.error < best or found.error <= NEAR_AN_ANSWER * found.size:
+            best = min(best, found.error)
+            yield Iterate(found.force, found.joint_force, found.error, count)
+
+
+def _drawn(form: LocalForm, rng: np.random.Generator) -> Iterate:
+    """Return the forces of least norm that fit a drawn combination best, their signs as they come.
+
+    Each contact has three unknown forces where it sticks, none where it is open, and its normal force where it slides
+    in a given direction; as many of its velocities are to vanish.
+    """
+    m, d = form.m, form.d
+    states, ways = rng.choice(3, m, p=DRAWN), rng.normal(size=(m, d - 1))
+    ways *= (form.mu / np.maximum(lengths(ways), np.finfo(float).tiny))[:, None]
+    closed = np.repeat(states > 0, d)
+    closed[np.add.outer(d * np.flatnonzero(states == 2), np.arange(1, d))] = False
+    at_rest = np.eye(m * d)[:, closed]
+    pushed = np.eye(m * d)
+    for i in np.flatnonzero(states == 2):
+        pushed[d * i + 1 : d * (i + 1), d * i] = ways[i]
+    forces = pushed[:, closed]
+    matrix = np.block([[at_rest.T @ form.W @ forces, at_rest.T @ form.V], [form.V.T @ forces, form.R]])
+    right = -np.concatenate([at_rest.T @ form.q, form.s])
+    try:
+        found = np.linalg.lstsq(matrix, right, rcond=DRAWN_RANK)[0]
+    except np.linalg.LinAlgError:
+        return Iterate.nothing(form)
+    return Iterate.at(form, (forces @ found[: forces.shape[1]]).reshape(m, d), found[forces.shape[1] :])
+
+
+def _at_full_length(form: LocalForm, here: Iterate) -> tuple[Iterate, int]:
+    """Return the best of Newton's iterates at full length, hardly regularised, and how many there were."""
+    best, taken = here, 0
+    while taken < FULL_STEPS:
+        taken += 1
+        direction = _direction(form, here, REGULARISATION[1])
+        if direction is None:
+            break
+        here = Iterate.at(form, here.force + direction[0], here.joint_force + direction[1])
+        if not np.isfinite(here.error):
+            break
+        best = here if here.error < best.error else best
+        if best.error <= ROUNDED * best.size:
+            break
+    return best, taken

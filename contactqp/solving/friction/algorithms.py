@@ -10,7 +10,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import stated_limit, tell, time_is_up
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.admm import admm
-from contactqp.solving.friction.alart_curnier import newton, proximal_points
+from contactqp.solving.friction.alart_curnier import drawn_combinations, newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
 from contactqp.solving.friction.local_form import NEARER, Deadline, FoundOnBodies, Iterate, LocalForm
@@ -76,6 +76,14 @@ ALGORITHMS = {
         Algorithm("nsgs", lambda form, _, start: gauss_seidel(form, start), False, 5000, 200, "nonsmooth Gauss-Seidel"),
         Algorithm(
             "ppa", lambda form, _, start: proximal_points(form, start), False, 300, 300, "proximal points by Newton"
+        ),
+        Algorithm(
+            "combinations",
+            lambda form, _, start: drawn_combinations(form, start),
+            False,
+            5000,
+            5000,
+            "Newton's method from drawn combinations of states",
         ),
         Algorithm("admm", lambda form, _, start: admm(form, start), False, 20000, 60, "ADMM, the shift from the dual"),
         Algorithm("aclm", _with_steps(cone_fixed_point), True, 200, 40, "convex problems over shifted cones"),
@@ -199,14 +207,16 @@ def _stagnates(errors: list[float], patience: int) -> bool:
 # Tried one after another where no algorithm is asked for: name, iterations.
 ATTEMPTS = (
     *(("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000)),
-    *(("aclm", 60), ("tresca", 60), ("ppa", 1000), ("admm", 20000)),
+    *(("aclm", 60), ("tresca", 60), ("combinations", 1000), ("ppa", 1000), ("admm", 20000)),
 )
 # So many of them end at once, and so many are long.
 SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
 # An iterate whose law is violated by less, of the typical gap or slip, satisfies it.
 SOLVED = 1e-10
 # These forget where they start from, or are led astray by it.
-FROM_THE_START = ("nsgs", "admm", "aclm", "tresca")
+FROM_THE_START = ("nsgs", "admm", "aclm", "tresca", "combinations")
+# What these come to, if it is no answer, is nothing that others could start from; in the plane combinations are listed.
+DRAWN = ("combinations",)
 
 
 def run_any(
@@ -238,6 +248,8 @@ def run_any(
     for number, (name, limit) in enumerate(ATTEMPTS[:attempts]):
         if number and deadline.passed:
             break
+        if name in DRAWN and form.d == 2:
+            continue
         if number == SHORT_ATTEMPTS:
             refuse_none()
         from_best = start if best is None or name in FROM_THE_START else best.iterate
@@ -254,7 +266,7 @@ def run_any(
             continue
         if found.accepted:
             return found
-        if best is None or found.iterate.error < best.iterate.error:
+        if best is None or (found.iterate.error < best.iterate.error and name not in DRAWN):
             best = found
         if best.iterate.error <= SOLVED and form.m <= few:
             break

@@ -8,13 +8,15 @@ import pytest
 import contactqp as cq
 
 
-def planted_on_a_rigid_body(seed: int) -> tuple[cq.ContactProblem, np.ndarray, np.ndarray, np.ndarray]:
+def planted_on_a_rigid_body(
+    seed: int, coefficients: tuple[float, ...] = (0.125, 0.25, 0.5, 0.75)
+) -> tuple[cq.ContactProblem, np.ndarray, np.ndarray, np.ndarray]:
     """A body of six rigid motions on up to five contacts, in frames of whole numbers, made around its answer."""
     rng = np.random.default_rng(seed)
     contacts = int(rng.integers(1, 6))
     u, force, drag = rng.integers(-4, 5, 6) * 0.25, np.zeros(contacts), np.zeros((contacts, 2))
     normal, tangent = np.zeros((contacts, 6)), np.zeros((contacts, 2, 6))
-    friction, slip = rng.choice([0.125, 0.25, 0.5, 0.75], contacts), np.zeros((contacts, 2))
+    friction, slip = rng.choice(coefficients, contacts), np.zeros((contacts, 2))
     for i in range(contacts):
         a, b, c, d = rng.integers(1, 4, 4).astype(float)  # a rotation, by its quaternion
         frame = np.array(
@@ -63,6 +65,17 @@ def test_answers_of_rigid_bodies_are_found_and_pass(seed: int) -> None:
         assert not cq.certify(
             problem, u + 1e-6 * problem.normal[np.argmax(force)].toarray().ravel(), force, drag
         ).passed
+
+
+@pytest.mark.parametrize("seed", [66, 368])
+def test_bodies_that_wedge_themselves_are_answered_from_drawn_combinations(seed: int) -> None:
+    """With friction of 64 on four of five contacts no other algorithm comes to an answer."""
+    problem, *_ = planted_on_a_rigid_body(seed, (0.02, 1.0, 8.0, 64.0))
+    solution = cq.solve(problem)
+    assert solution.method == "combinations"
+    assert solution.certificate.passed
+    pushed = problem.normal.T @ solution.normal_force + problem.tangent.T @ solution.friction_force.ravel()
+    assert pushed == pytest.approx(problem.load, abs=1e-12 * np.max(abs(problem.load)))
 
 
 def test_a_body_that_slides_at_the_limit_of_its_load_passes_beside_a_contact_that_grazes() -> None:

@@ -90,7 +90,7 @@ def test_walls_that_conflict_are_named() -> None:
 
 def test_what_is_not_there_says_so() -> None:
     twin = pad(1.0)
-    with pytest.raises(cq.InvalidProblem, match="newton, nsgs, ppa, admm, aclm, tresca, enumeration"):
+    with pytest.raises(cq.InvalidProblem, match="newton, nsgs, ppa, combinations, admm, aclm, tresca, enumeration"):
         cq.solve(twin, algorithm="lemke")
     space = cq.ContactProblem(np.eye(3), np.ones(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential"):
