@@ -322,16 +322,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
     free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
-    bounds = Bounds(
-        energy_scale=energy_scale,
-        rounding=rounding,
-        rigid_rounding=rigid,
-        force_rounding=force_rounding,
-        free_distance=free,
-        cleared=pair.cleared,
-        undecided=pair.undecided,
-    )
-    error, scale, ties = _force_error(problem, condensation, pair, changes, bounds)
+    vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
+    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing)
     # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
@@ -346,9 +338,14 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
     lost = hidden and not pair.exact  # nothing is known of the strain that a large motion hides
     energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
-    return replace(
-        bounds,
+    return Bounds(
         energy_scale=energy_scale,
+        rounding=rounding,
+        rigid_rounding=rigid,
+        force_rounding=force_rounding,
+        free_distance=free,
+        cleared=pair.cleared,
+        undecided=pair.undecided,
         energy_error=energy_error if elastic else 0.0,
         force_error=error + of_shared / (scale or 1.0) if elastic else 0.0,
         force_scale=scale,
@@ -368,21 +365,21 @@ def _force_error(
     condensation: Condensation,
     pair: AdmissiblePair,
     changes: tuple[Extended, Extended],
-    bounds: Bounds,
+    vanishing: float,
 ) -> tuple[float, float, tuple[float, float]]:
     """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
 
-    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces beneath the rounding
-    of the data are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where ties act, W is
-    also taken without them, of contact forces and those of ties together, which differ from the true ones by
-    |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these norms know little where
-    they are slender: there forces of independent ties are compared one by one. The largest error is the bound.
+    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces up to `vanishing`,
+    the rounding of the data, are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where
+    ties act, W is also taken without them, of contact forces and those of ties together, which differ from the true
+    ones by |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these norms know
+    little where they are slender: there forces of independent ties are compared one by one. The largest error is the
+    bound.
     """
     floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
     if problem.ties > 0 and not (floats and independent):
         norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
-    vanishing = max(NEXT_TO_NOTHING * bounds.energy_scale, bounds.rounding, bounds.force_rounding, 2 * pair.undecided)
     found: list[tuple[float, float, float]] = []
     for tied, with_ties in norms:
         scale, uncertain = force_norm(problem, condensation, pair.force, tied, pair.tie_force if with_ties else None)
@@ -495,4 +492,4 @@ def fails_force_bound(bounds: Bounds, tolerance: float, nothing: float) -> bool:
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0
     if bounds.largest_force > 0:
         beneath = max(bounds.rounding, nothing) / bounds.largest_force
-    return relative is not None and bounds.force_bound is not None and not np.all(relative <= max(tolerance, beneath))
+    return relative is not None and bounds.force_bound is not None and not (relative <= max(tolerance, beneath)).all()

@@ -322,7 +322,7 @@ def _worded(
         force_error=bounds.force_error,
         force_bound=None if bounds.force_bound is None else ROUNDED_UP * bounds.force_bound,
         reasons=bounds.reasons,
-        grazing=tuple(np.flatnonzero(measured.grazing).tolist()),
+        grazing=tuple(measured.grazing.nonzero()[0].tolist()),
         failures=tuple(failures),
         notes=(*notes, *measured.others.notes, *measured.state.notes),
         uniqueness=measured.others.findings,
@@ -481,7 +481,7 @@ def holds(problem: ContactProblem, answer: Answer, largest: float = HOLDS) -> bo
         return False
     rigid = (problem._computed.condensation or condense(problem)).rigid
     found = violations(problem, answer, kept_residuals(problem, answer), NOTHING, rigid)
-    if any(float(np.max(getattr(found, name), initial=0.0)) > largest for name in FIGURES if name != "balance"):
+    if any(float(getattr(found, name).max(initial=0.0)) > largest for name in FIGURES if name != "balance"):
         return False
     return not rigid.count or balance(problem, answer, rigid, found.nothing.force) <= largest
 
@@ -497,4 +497,4 @@ def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answ
     tolerance : largest figure that passes
     """
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)
-    return all(float(np.max(getattr(found, name), initial=0.0)) <= tolerance for name in FIGURES if name != "balance")
+    return all(float(getattr(found, name).max(initial=0.0)) <= tolerance for name in FIGURES if name != "balance")

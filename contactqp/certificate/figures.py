@@ -41,8 +41,8 @@ from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.measures import (
     ROUNDING_OF_LENGTH,
     beyond,
-    force_measure,
     forces_that_meet,
+    inner_forces,
     intrinsic_size,
     nothing,
     outer_forces,
@@ -104,7 +104,7 @@ def violations(
     elastic, size, sizes, slips = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
     none, F, coulomb = nothing(problem, answer, elastic, size, rounding), sizes.meeting, None
     least = none.force if none.contact_force is None else none.contact_force
-    felt = force_measure(problem.normal, answer.normal_force, F, least, row_sizes(problem, problem.normal))
+    felt = row_sizes(problem, problem.normal).measure(answer.normal_force, F, least)
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
     if slips is not None:
         none = slips_that_are_nothing(none, slips.hardly)
@@ -176,7 +176,7 @@ def _sizes(
     across = np.zeros(problem.contacts) if problem.friction is None else lengths_across(problem, elastic)
     sizes = Sizes(
         meeting=F,
-        push=force_measure(problem.normal, answer.normal_force, F, sizes=normal),
+        push=normal.measure(answer.normal_force, F),
         lengths=normal.lengths(moved) + abs(problem.gap),
         tangential_lengths=across,
         tie_lengths=tie_lengths,
@@ -191,7 +191,7 @@ def _meeting(problem: ContactProblem, answer: Answer, rigid: RigidMotions | None
     if rigid is not None and rigid.count:
         elastic = rigid.without_rigid_part(elastic, problem.diagonal)
     size = intrinsic_size(problem, answer, elastic)
-    inner = problem.stiffness_sizes @ abs(elastic)
+    inner = inner_forces(problem, elastic)
     acting, F = problem.load_size + inner, inner + outer_forces(problem, answer)
     hidden = (acting > 0) & (HIDES * acting < F)
     return elastic, size, _forces_that_count(problem, acting, F, hidden, size) if hidden.any() else F

@@ -25,7 +25,7 @@ from contactqp.linalg.extended import extend, two_product
 from contactqp.linalg.floating import independent_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.krylov import IndependentRows
-from contactqp.linalg.measures import NOTHING_BY_DEFAULT, force_measure, forces_that_meet
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, forces_that_meet, row_sizes
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Nothing, Violations
@@ -433,7 +433,7 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     """Return the measures of normal and friction forces, (m,) each; a force on a row of zeros measures one."""
     F, m = forces_that_meet(problem, answer), problem.contacts
     zero = np.diff(problem.normal.indptr) == 0
-    push = np.where(zero, answer.normal_force != 0, force_measure(problem.normal, answer.normal_force, F))
+    push = np.where(zero, answer.normal_force != 0, row_sizes(problem, problem.normal).measure(answer.normal_force, F))
     if answer.friction_force is None or problem.tangent is None:
         return push, np.zeros(m)
     drag = vector_measure(contact_entries(problem, "tangent"), answer.friction_force, F, np.zeros_like(F))

@@ -24,7 +24,7 @@ from contactqp.distributed.rows import Rows, chosen_rows
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows, IndependentRows, Projections
-from contactqp.linalg.measures import force_measure, reciprocal
+from contactqp.linalg.measures import reciprocal, sizes_of
 from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
 
 
@@ -232,7 +232,7 @@ class DistributedIteration(ContactIteration):
         """Return max_j |E_ij l_i| / F_j of each row, with F = |K||x| + |E|'|l| + |f|."""
         meeting = self.force_sizes(force) + abs(load)
         meeting[self._touched] += self._sizes_at_touched.lengths(abs(x))
-        return force_measure(self.rows.entries, force, self.rows.at_touched(meeting))
+        return sizes_of(self.rows.entries).measure(force, self.rows.at_touched(meeting))
 
     def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
         """Return the projections of some rows, constrained to limits."""

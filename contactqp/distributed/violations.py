@@ -34,7 +34,6 @@ from contactqp.linalg.measures import (
     ROUNDING_OF_LOADS,
     RowSizes,
     beside_yielding,
-    force_measure,
     imposed,
     in_energy,
     lengths,
@@ -69,17 +68,17 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
         problem.gap - normal.lengths(u),
         problem.tie_value - tie.lengths(u),
     )
-    near = normal.at_touched(F)
+    near, of_entries = normal.at_touched(F), sizes_of(normal.entries)
     least = normal.at_touched(none.force if none.contact_force is None else none.contact_force)
     sizes = Sizes(
         meeting=F,
-        push=force_measure(normal.entries, answer.normal_force, near),
+        push=of_entries.measure(answer.normal_force, near),
         lengths=normal.length_sizes(elastic) + abs(problem.gap),
         tangential_lengths=_tangential_lengths(problem, elastic),
         tie_lengths=tie.length_sizes(elastic) + abs(problem.tie_value),
         intrinsic_size=size,
     )
-    felt = force_measure(normal.entries, answer.normal_force, near, least)
+    felt = of_entries.measure(answer.normal_force, near, least)
     return figures(answer, residuals, sizes, none, felt, _friction_data(problem, u, F, none.force, hardly))
 
 

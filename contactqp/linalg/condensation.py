@@ -221,7 +221,7 @@ class Condensation:
     @cached_property
     def lost_digits(self) -> float:
         """Return the rounding error of S relative to its diagonal."""
-        left = np.max(self._diagonal[self.retained] * self.scale**2, initial=0.0)
+        left = (self._diagonal[self.retained] * self.scale**2).max(initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
     def _schur_smallest_pivot(self, problem: ContactProblem) -> float:
@@ -437,11 +437,9 @@ def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination
     chosen = os.environ.get(CHOICE, "")
     if chosen and chosen not in CHOICES:
         raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
-    interior = np.ones(stiffness.shape[0], dtype=bool)
-    interior[retained] = False
-    count = np.count_nonzero(interior)
+    count = stiffness.shape[0] - len(retained)
     wanted = count >= LARGE and available() if chosen in ("", "pyamg") else chosen == "pardiso" and count > 0
-    if wanted and np.all(stiffness.diagonal()[interior] > 0):
+    if wanted and np.all(np.delete(stiffness.diagonal(), retained) > 0):
         try:
             return LastBlock(stiffness, retained)
         except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
@@ -497,4 +495,6 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
 def touched_unknowns(problem: ContactProblem) -> Indices:
     """Return the unknowns that contacts, their tangents and ties touch."""
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
-    return np.unique(np.concatenate([row.indices for row in rows])).astype(np.intp)
+    touched = np.zeros(problem.dimension, dtype=bool)
+    touched[np.concatenate([row.indices for row in rows])] = True
+    return touched.nonzero()[0]

@@ -239,7 +239,7 @@ class BackSubstitution:
         self._retained = retained
         eliminated = np.ones(stiffness.shape[0], dtype=bool)
         eliminated[retained] = False
-        self._interior = np.flatnonzero(eliminated)
+        self._interior = eliminated.nonzero()[0]
         if stiffness.shape[0] <= DENSE_SIZE:
             stiffness = stiffness.toarray()
         self._coupling = _block(stiffness, self._interior, retained)
@@ -413,7 +413,7 @@ class _RangeSpace:
         Each right-hand side is a vector, or has a column for each of several systems.
         """
         operator = self._operator
-        x = operator.solve((r.T * operator.scale).T) if r.any() else np.zeros_like(r)
+        x = operator.solve((r.T * operator.scale).T) if r.any() else np.zeros(r.shape)
         force = np.concatenate([e, a]) if len(a) else e
         if self._factor is not None:
             load = self._factor.solve(((self._rows @ x - force).T * self._row_scale).T)

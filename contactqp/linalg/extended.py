@@ -83,7 +83,7 @@ class Extended:
 
     def added_at(self, index: Any, values: Array) -> Extended:
         """Return a copy with doubles added to some entries."""
-        increment = np.zeros_like(self.hi)
+        increment = np.zeros(len(self.hi))
         increment[index] = values
         return self + increment
 
@@ -298,6 +298,7 @@ class ExtendedRows:
 
     def __init__(self, problem: ContactProblem) -> None:
         self._of_stiffness = problem._computed.of_stiffness
+        self._stiffness = problem.stiffness
         self._given = problem.stiffness_rows, problem.normal, problem.tie, problem.tangent
         counts = [0 if matrix is None else matrix.shape[0] for matrix in self._given]
         self.ends = list(accumulate(counts))  # of unknowns, contacts, ties and tangents among all of them
@@ -309,7 +310,8 @@ class ExtendedRows:
         if size * size > ONE_ARRAY:
             return None
         transposed = np.zeros((size, size))
-        transposed[:n, :n] = self._given[0].toarray().T
+        K = self._stiffness
+        transposed[:n, :n] = K.T if isinstance(K, np.ndarray) else K.toarray().T
         for matrix, start, end in zip(self._given[1:], (n, m, k), (m, k, size), strict=True):
             if start < end:
                 transposed[start:end, :n] = rows = matrix.toarray()

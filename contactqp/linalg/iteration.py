@@ -23,7 +23,7 @@ from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.factorization import stated_motions, widest_level
 from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows, OneProcess
-from contactqp.linalg.measures import force_measure
+from contactqp.linalg.measures import sizes_of
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.linalg.runtime import free_memory
@@ -412,7 +412,7 @@ class Iteration(ContactIteration):
 
     def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
         sizes = self._near_sizes @ abs(x) + abs(load[self.touched]) + self._row_sizes.T @ abs(force)
-        return force_measure(self.rows, force, sizes)
+        return sizes_of(self.rows).measure(force, sizes)
 
     def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
         closed = np.isin(np.arange(self.floating.contacts), rows)

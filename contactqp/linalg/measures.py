@@ -62,6 +62,10 @@ class RowSizes:
         """Return E'l (n,) of forces l (r,) [force]."""
         return self._sums(self.rows.indices, self.rows.data * force[self.row], self.rows.shape[1])
 
+    def moved(self, displacement: Vector) -> Vector:
+        """Return E u (r,) of displacements u (n,) [length]."""
+        return self._sums(self.row, self.rows.data * displacement[self.rows.indices], self.rows.shape[0])
+
     def lengths(self, size: Vector) -> Vector:
         """Return |E||u| (r,) of sizes |u| (n,) [length]."""
         return self._sums(self.row, self.entries * size[self.rows.indices], self.rows.shape[0])
@@ -69,6 +73,13 @@ class RowSizes:
     def forces(self, size: Vector) -> Vector:
         """Return |E|'|l| (n,) of sizes |l| (r,) [force]."""
         return self._sums(self.rows.indices, self.entries * size[self.row], self.rows.shape[1])
+
+    def measure(self, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
+        """Return max_j |E_ij l_i| / F_j (r,) of forces l (r,), F (n,) being what meets; up to `none` (n,) is 0."""
+        acting, at = self.entries * abs(force)[self.row], self.rows.indices
+        measure = np.zeros(self.rows.shape[0])
+        np.maximum.at(measure, self.row, ratio(acting if none is None else beyond(acting, none[at]), meeting[at]))
+        return measure
 
     @staticmethod
     def _sums(at: Indices, terms: Vector, count: int) -> Vector:
@@ -85,9 +96,9 @@ def row_sizes(problem: ContactProblem, rows: Any) -> RowSizes:
     return made[id(rows)]
 
 
-def sizes_of(rows: Any, diagonal: Vector) -> RowSizes:
-    """Return the sizes of rows (r, n) over unknowns whose diagonal entries K_jj are given."""
-    compliance = reciprocal(diagonal)
+def sizes_of(rows: Any, diagonal: Vector | None = None) -> RowSizes:
+    """Return the sizes of rows (r, n) over unknowns with diagonal entries K_jj; the compliance is 0 without these."""
+    compliance = reciprocal(np.zeros(rows.shape[1]) if diagonal is None else diagonal)
     size, row = abs(rows.data), np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])
     found = np.bincount(row, weights=size**2 * compliance[rows.indices], minlength=rows.shape[0])
     touching = (rows.indptr[1:] > rows.indptr[:-1]).nonzero()[0]
@@ -122,15 +133,15 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
     `elastic` (n,) is the displacement without its rigid part.
     """
     D, part = scale_through_rows(problem), parts(problem)
-    square = np.bincount(part, weights=elastic * (problem.stiffness_rows @ elastic))
-    size = np.sqrt(np.maximum(square, 0.0))
+    size = _strain(problem, part, elastic)
     np.maximum.at(size, part, D * problem.load_size)
     u, stiff = answer.displacement, problem.diagonal > 0
     few_yield = not (stiff.all() or mostly_bare(problem))
     for rows, limit in (one for one in rows_and_limits(problem) if one[1].size):
         of_row = row_sizes(problem, rows)
-        lengths = rows @ u, (met := of_row.lengths(abs(u))), met if elastic is u else of_row.lengths(abs(elastic))
-        length = imposed(limit, *lengths, of_row.compliance)
+        met = of_row.lengths(abs(u))
+        reached = met if elastic is u else of_row.lengths(abs(elastic))
+        length = imposed(limit, of_row.moved(u), met, reached, of_row.compliance)
         if few_yield:
             moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), np.where(stiff, 0.0, 1.0)))
             length = beside_yielding(length, moved, may > 0, of_row.compliance)
@@ -175,8 +186,8 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     if not problem.diagonal.all() and (mostly_bare(problem) or not problem.diagonal.any()):
         return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u, D = abs(answer.displacement), scale_through_rows(problem)
-    force = np.divide(part * size, D, out=np.zeros_like(D), where=D > 0)
-    held = HELD_BY_DOUBLES * (problem.stiffness_sizes @ u)
+    force = np.divide(part * size, D, out=np.zeros(len(D)), where=D > 0)
+    held = HELD_BY_DOUBLES * inner_forces(problem, answer.displacement)
     force, of_contacts = np.maximum(force, held), _least_contact_force(problem, elastic, size, part, held)
     if elastic is not answer.displacement:
         force = np.maximum(force, RIGID_FORCE * (problem.stiffness_sizes @ abs(answer.displacement - elastic)))
@@ -284,8 +295,7 @@ def parts(problem: ContactProblem) -> Indices:
         found = bodies(problem)
         count = int(found.max(initial=-1)) + 1
         if count > 1:
-            rows = [rows for rows in (problem.normal, problem.tangent, problem.tie) if rows is not None]
-            one, other = np.concatenate([_joined(some, found) for some in rows], axis=1)
+            one, other = np.concatenate([_joined(rows, found) for rows, _ in rows_and_limits(problem)], axis=1)
             apart = one != other
             if apart.any():
                 found = joined_parts(count, one[apart], other[apart])[found].astype(np.intp)
@@ -382,9 +392,8 @@ def untouched(problem: ContactProblem) -> Any:
     """Return whether neither the stiffness nor a row touches each unknown (n,)."""
     if problem._computed.untouched is None:
         touched = problem.diagonal > 0
-        for rows in () if touched.all() else (problem.normal, problem.tangent, problem.tie):
-            if rows is not None:
-                touched[rows.indices[rows.data != 0]] = True
+        for rows, _ in () if touched.all() else rows_and_limits(problem):
+            touched[rows.indices[rows.data != 0]] = True
         problem._computed.untouched = ~touched
     return problem._computed.untouched
 
@@ -395,9 +404,19 @@ def lay_out(problem: ContactProblem) -> None:
     problem.stiffness_sizes, bodies(problem)
 
 
+def inner_forces(problem: ContactProblem, displacement: Vector) -> Vector:
+    """Return |K||u| (n,) [force], which is kept for the last displacement whose array cannot be changed."""
+    kept = problem._computed.of_answer.inner_forces
+    if kept is None or kept[0] is not displacement:
+        kept = displacement, np.asarray(problem.stiffness_sizes @ abs(displacement))
+        if not displacement.flags.writeable:
+            problem._computed.of_answer.inner_forces = kept
+    return kept[1]
+
+
 def forces_that_meet(problem: ContactProblem, answer: Answer) -> Vector:
     """Return F (n,): the sum of the sizes of all forces that meet at each unknown [force]."""
-    return np.asarray(problem.stiffness_sizes @ abs(answer.displacement) + outer_forces(problem, answer))
+    return inner_forces(problem, answer.displacement) + outer_forces(problem, answer)
 
 
 def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
@@ -441,8 +460,7 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
 
 def largest_of_bodies(problem: ContactProblem, size: Vector) -> Vector:
     """Return, for each unknown, the largest size (n,) of any unknown of its body (n,)."""
-    body = bodies(problem)
-    largest = np.zeros(int(body.max()) + 1)
+    largest = np.zeros(int((body := bodies(problem)).max()) + 1)
     np.maximum.at(largest, body, size)
     return np.asarray(largest[body])
 
@@ -480,21 +498,3 @@ def reciprocal(size: Array) -> Array:
 def beyond(size: Vector, none: Vector) -> Vector:
     """Return sizes with 0 where they are at most `none`; NaN stays, and an infinite `none` excuses nothing."""
     return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
-
-
-def force_measure(rows: Any, force: Vector, meeting: Vector, none: Vector | None = None, sizes: Any = None) -> Vector:
-    """Return the measure max_j |E_ij l_i| / F_j of the force of every row (r,).
-
-    Parameters
-    ----------
-    rows, force : (r, n) CSR matrix and (r,) array, the multipliers l [force]
-    meeting, none : (n,) arrays, F, the forces that meet at each unknown [force], and those up to which there is none
-    sizes : RowSizes, optional, those of the rows, if they are known
-    """
-    sizes = sizes_of(rows, np.zeros(rows.shape[1])) if sizes is None else sizes
-    acting = sizes.entries * abs(force)[sizes.row]
-    if none is not None:
-        acting = beyond(acting, none[rows.indices])
-    measure = np.zeros(rows.shape[0])
-    np.maximum.at(measure, sizes.row, ratio(acting, meeting[rows.indices]))
-    return measure

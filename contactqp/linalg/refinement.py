@@ -17,7 +17,6 @@ from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residu
 from contactqp.linalg.floating import UNRESISTED, imbalance, made_of_motions
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
-    force_measure,
     forces_that_meet,
     lengths_that_meet,
     longest_stated,
@@ -494,5 +493,4 @@ def pushing_contacts(problem: ContactProblem, answer: Answer) -> Indices:
 def _push(problem: ContactProblem, answer: Answer) -> Vector:
     """Return the measure of every contact force (m,), negative in tension."""
     force = answer.normal_force
-    meeting, sizes = forces_that_meet(problem, answer), row_sizes(problem, problem.normal)
-    return force_measure(problem.normal, force, meeting, sizes=sizes) * np.sign(force)
+    return row_sizes(problem, problem.normal).measure(force, forces_that_meet(problem, answer)) * np.sign(force)

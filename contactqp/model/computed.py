@@ -33,6 +33,7 @@ class OfAnswer:
 
     residuals: tuple[tuple[Any, ...], Any] | None = None  # in extended precision
     sizes: tuple[tuple[Any, ...], Any] | None = None  # forces and lengths by which residuals are measured
+    inner_forces: tuple[Vector, Vector] | None = None  # linalg.measures: u and |K||u|
 
 
 @dataclass(eq=False)

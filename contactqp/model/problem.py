@@ -424,7 +424,7 @@ class ContactProblem:
         rows = [one.data for one in (self.normal, self.tie, self.tangent) if one is not None]
         lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
         largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)
-        return bool(self.diagonal.all()) and all(map(are_near_one, (self.diagonal, *rows, largest)))
+        return bool(self.diagonal.all()) and are_near_one(np.concatenate([self.diagonal, *rows, largest]))
 
     @cached_property
     def is_small(self) -> bool:

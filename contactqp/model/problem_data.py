@@ -6,7 +6,6 @@ import numbers
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
-from copy import copy
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
@@ -71,7 +70,9 @@ class ReadOnly:
             kind = type(value)
             if kind is np.ndarray and value.base is None:  # most are
                 value.setflags(write=False)
-            elif kind not in PLAIN and (kept := read_only(value)) is not value:
+            elif kind in PLAIN or (kind is tuple and not value):
+                continue
+            elif (kept := read_only(value)) is not value:
                 object.__setattr__(self, name, kept)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -211,7 +212,7 @@ def csr_rows(matrix: Any) -> Any:
 def rows_of_dense(dense: Array, kind: Any) -> Any:
     """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
     row, column = dense.nonzero()
-    rows = copy(_without_entries(kind, dense.shape))  # its checked constructor would take longer than the rest
+    rows = twin_of(_without_entries(kind, dense.shape))  # its checked constructor would take longer than the rest
     rows.indptr = np.zeros(len(dense) + 1, dtype=np.int32)
     np.bincount(row, minlength=len(dense)).cumsum(out=rows.indptr[1:])
     rows.data, rows.indices = dense[row, column], column.astype(np.int32)
@@ -232,7 +233,14 @@ def read_rows(name: str, value: Any, n: int) -> Any:
 
 def no_rows(n: int) -> Any:
     """Return a CSR array without rows over n unknowns."""
-    return copy(_without_entries(sp.csr_array, (0, n)))
+    return twin_of(_without_entries(sp.csr_array, (0, n)))
+
+
+def twin_of(matrix: Any) -> Any:
+    """Return another sparse matrix with the same arrays: `copy.copy` without what it looks up for any other object."""
+    twin = object.__new__(type(matrix))
+    vars(twin).update(vars(matrix))
+    return twin
 
 
 @lru_cache(maxsize=32)

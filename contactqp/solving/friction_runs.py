@@ -27,7 +27,7 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import Systems, frictional_iteration, iterated
-from contactqp.linalg.measures import force_measure, forces_that_meet, lengths, row_sizes
+from contactqp.linalg.measures import forces_that_meet, lengths, row_sizes
 from contactqp.model.arrays import Array, all_finite, on_one_thread
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -154,7 +154,7 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
 def without_negligible_forces(problem: ContactProblem, answer: Answer) -> Answer:
     """Return the answer without contact forces beneath the rounding of the stiffness, if it holds without them."""
     force = answer.normal_force
-    heard = force_measure(problem.normal, force, forces_that_meet(problem, answer)) > NOISE
+    heard = row_sizes(problem, problem.normal).measure(force, forces_that_meet(problem, answer)) > NOISE
     if np.all(heard | (force == 0)) or answer.friction_force is None:
         return answer
     friction = np.where(heard[:, None], answer.friction_force, 0.0)
