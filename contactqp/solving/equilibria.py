@@ -62,7 +62,7 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     Raises
     ------
     InvalidProblem
-        There is no friction: `solve` has the one answer.
+        There is no friction, so that `solve` returns the only answer.
     Unsupported
         More than eight contacts, or two tangential rows a contact.
     NotCertified
@@ -202,7 +202,7 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     InvalidProblem
         A contact problem without friction: the minimum exists where the constraints do not conflict.
     Unsupported
-        Bodies float, or a local problem has joints without compliance: the theorem has neither.
+        Bodies float, or a local problem has joints without compliance, which the theorem excludes.
     BackendMissing, BackendFailed
         Of Clarabel.
 

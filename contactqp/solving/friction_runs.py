@@ -1,7 +1,8 @@
-"""Coulomb friction in `solve`: by the algorithm asked for, or by the first that finds an answer.
+"""Solve problems with Coulomb friction by the requested algorithm, or by the first that finds an answer.
 
-Rigid motions that no contact, no friction and no tie of the answer resists are put to rest, and forces that are noise
-are taken away. The associated relaxation is an algorithm too: right as what it is, never called Coulomb's answer.
+Components along rigid motions that no contact, friction or tie of the answer resists are removed, and forces of
+rounding size are set to zero. The associated relaxation is also available, but its answer is never presented as
+Coulomb's.
 """
 
 from __future__ import annotations
@@ -60,9 +61,9 @@ def _associated(
     Raises
     ------
     NoEquilibrium
-        Constraints conflict, or a load drives what nothing holds.
+        Constraints conflict, or a load drives a rigid motion that nothing resists.
     NotConverged, BackendFailed, BackendMissing
-        The convex solver gave up, or what it found is not the relaxation's answer.
+        The convex solver failed, or its result does not satisfy the relaxation.
     Unsupported
         A method that is approximate by design.
     """
@@ -77,7 +78,7 @@ def _associated(
             raise
         return answer, "associated friction law by clarabel (not Coulomb)"
     relaxed = relaxed_in_the_plane(problem)
-    # A start has one force a contact, and the program two.
+    # The program has two forces per contact, a start has one.
     found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final().answer
     certificate = certificate_of(relaxed, found)
     if not certificate.passed:
@@ -86,12 +87,12 @@ def _associated(
     return answer, f"associated friction law by {method.name} (not Coulomb)"
 
 
-# A contact force of this part of the forces that meet there is what a stiffness singular to rounding makes of none.
+# Contact forces below this part of the forces that meet there are rounding errors of a nearly singular stiffness.
 NOISE = 1e-15
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
-    """Return an orthonormal basis (n, q) of the rigid motions that move no pushing contact and no tie."""
+    """Return an orthonormal basis (n, q) of the rigid motions that displace no contact with force and no tie."""
     if not condensation.rigid.count:
         return condensation.rigid.motions
     basis = condensation.rigid.basis
@@ -113,9 +114,9 @@ def free_motions(problem: ContactProblem, condensation: Condensation, answer: An
 
 
 def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer, free: Array) -> Answer:
-    """Return the answer moved to its least norm along free motions, where contacts that do not push leave room.
+    """Return the answer of least norm along free motions that the gaps of open contacts admit.
 
-    Removing a motion leaves its rounding behind, which refinement removes.
+    The rounding errors of the removed motion are eliminated by refinement.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def at_rest(problem: ContactProblem, condensation: Condensation, answer: Answer,
 def _combination(problem: ContactProblem, answer: Answer) -> Status:
     """Return the states of an answer (m,): open without a force, sticking where the slip is rounding, else sliding.
 
-    A slip that friction drives is the remainder of none and counts as sticking.
+    A slip in the direction of its friction is a rounding error and counts as stick.
     """
     assert problem.tangent is not None
     assert problem.slip_origin is not None
@@ -152,7 +153,7 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
 
 
 def without_negligible_forces(problem: ContactProblem, answer: Answer) -> Answer:
-    """Return the answer without contact forces beneath the rounding of the stiffness, if it holds without them."""
+    """Return the answer without contact forces of rounding size, if it remains an equilibrium."""
     force = answer.normal_force
     heard = row_sizes(problem, problem.normal).measure(force, forces_that_meet(problem, answer)) > NOISE
     if np.all(heard | (force == 0)) or answer.friction_force is None:
@@ -163,11 +164,11 @@ def without_negligible_forces(problem: ContactProblem, answer: Answer) -> Answer
 
 
 _FACTORISE = "factorise: CONTACTQP_SPARSE_SOLVER=pardiso (pip install pypardiso) or superlu"
-# The error in energy of an iteration, over that of the displacement; the certificate asks for the same of its own.
+# The relative error in energy required of an iteration, as by the certificate.
 ENERGY = 1e-10
 
 
-# Algorithms refine what they find: a run of theirs asks nothing of the convex method, and any will do.
+# The convex method of runs whose algorithms refine their answers and do not use it.
 REFINED = find(DEFAULT_METHOD)
 
 
@@ -204,7 +205,7 @@ class FrictionRun(Run):
         self.candidate = Candidate(replace(answer, friction_force=None), iterations=steps, history=history)
 
     def final(self) -> Final:
-        """Return the answer that is to be certified: as it was found, on its combination of open, stick and slip."""
+        """Return the answer to be certified, that of its combination of open, stick and slip."""
         condensation = self._condensation or condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
@@ -278,11 +279,11 @@ def _known_answer(problem: ContactProblem, found: Candidate | None) -> Answer | 
     return replace(found.answer, friction_force=found.answer.friction_force.reshape(problem.contacts, -1))
 
 
-# Contacts of which all combinations take less than the long attempts of algorithms that find none.
+# The number of contacts up to which trying all combinations is cheaper than long attempts of algorithms.
 FEW_CONTACTS = 3
-# Tresca problems, most take three to eight, before contacts few enough to list their combinations go other ways.
+# The most Tresca problems (three to eight usually suffice) before other algorithms are tried for few contacts.
 STEPS_BEFORE_LISTING = 20
-# Tresca's fixed point where nobody asked for it by name.
+# The entry of Tresca's fixed point as part of the default sequence.
 TRESCA_AT_ONCE = replace(ALGORITHMS["tresca"], on_bodies=partial(tresca_on_bodies, at_once=True))
 
 
@@ -355,7 +356,7 @@ def run_friction(
 def _by_any(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings, meter: Meter
 ) -> FrictionRun:
-    """Return the first answer that is found in the plane: from a start by Newton's method, else by the others."""
+    """Return the first answer found in the plane, by Newton's method from a start, else by the other algorithms."""
     if settings.warm_start is not None:
         with suppress(NotConverged):
             return _by(ALGORITHMS["newton"], problem, condensation, method, settings, meter)
@@ -384,7 +385,9 @@ def _by(
     settings: Settings,
     meter: Meter,
 ) -> FrictionRun:
-    """Return the answer of an algorithm, on the bodies where it can; of None by those of the local form in turn."""
+    """Return the answer of an algorithm, on the bodies if it can; for None, that of the default sequence on the local
+    form.
+    """
     settings = settings if settings.time_limit is None else settings.now
     try:
         if algorithm is not None and algorithm.on_bodies is not None and not _in_space(problem):
@@ -408,7 +411,7 @@ def run_on_combination(
     combinations: int,
     meter: Meter,
 ) -> FrictionRun:
-    """Refine the answer of a combination that was found on the contact unknowns; its signs are not judged.
+    """Refine the answer of a combination found on the contact unknowns, without checking its signs.
 
     Parameters
     ----------
@@ -441,12 +444,12 @@ def _in_floats(problem: ContactProblem) -> tuple[FrictionRun, ...]:
 
 
 def _that_hold(problem: ContactProblem, exact: list[Answer]) -> tuple[FrictionRun, ...]:
-    """Return the equilibria that satisfy the law as doubles, too: those that rounding of a singular K makes do not."""
+    """Return the equilibria that also satisfy the law in doubles, without those caused by rounding of a singular K."""
     return tuple(FrictionRun(problem, one, "enumeration") for one in exact if holds(problem, one))
 
 
 def _in_rationals(problem: ContactProblem) -> tuple[FrictionRun, ...]:
-    """Return the equilibria in rational numbers, rounded; NotConverged where none satisfies the law any more."""
+    """Return the rational equilibria, rounded; raise NotConverged if none satisfies the law in doubles."""
     exact = rounded_equilibria(problem)
     found = _that_hold(problem, exact)
     if exact and not found:

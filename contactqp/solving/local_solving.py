@@ -1,8 +1,8 @@
-"""solve() of a local problem: scale, run an algorithm or enumerate, finish by Newton's method, certify.
+"""Solve a local problem: scale it, run an algorithm or enumerate, refine by Newton's method, and certify.
 
 Enumeration takes all combinations of open, stick, slip either way, in the plane. With r_N = l_N, r_T = -l_T,
-u_N = g - N x and u_T = T x - o, the local form u = W r + q + V l is the base and slope of
-`contactqp.solving.friction.enumeration`, and V'r + R l + s = 0 is what always holds. W need not be symmetric.
+u_N = g - N x and u_T = T x - o, the local form u = W r + q + V l gives base and slope of
+`contactqp.solving.friction.enumeration`, and V'r + R l + s = 0 its conditions H y = h. W need not be symmetric.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ from contactqp.solving.friction.local_form import Iterate, LocalForm
 from contactqp.solving.methods import DEFAULT_METHOD, POLYGON_OPTIONS, Settings, algorithm_name, find, refuse_arguments
 
 ENUMERATION = "enumeration"
-# Sizes from which dense systems are large enough for two threads to wait for each other.
+# The size from which on dense systems are run on one thread.
 WORTH_ONE_THREAD = 100
 # Scaled errors this small are worth a certificate.
 WORTH_JUDGING = 1e-6
-# Combinations that miss the law by no more than this may be answers that rounding hides.
+# Combinations that violate the law by less than this may be answers within rounding.
 NEAR = 1e-6
 
 
@@ -92,7 +92,7 @@ def solve_local(
     SeveralEquilibria
         Enumeration was asked for and finds several answers.
     NotConverged
-        No algorithm came to forces that pass `tolerance`; `solution` holds the best.
+        No algorithm found forces that pass `tolerance`; `solution` holds the best.
     NotCertified
         The algorithm was not to be polished, and its answer does not pass.
     BackendMissing, BackendFailed, Unsupported, InvalidProblem
@@ -169,7 +169,7 @@ def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[Lo
 
 
 def _enumerated(problem: LocalProblem, tolerance: float, only: bool) -> LocalSolution:
-    """Return the answer found by enumeration; with `only`, raise where there are several, else take the first."""
+    """Return the first answer of the enumeration; with `only`, raise SeveralEquilibria if there are several."""
     found = local_equilibria(problem, tolerance)
     if not found:
         if problem.contacts > MOST_PROVEN:
@@ -222,7 +222,7 @@ def _solution(
     )
 
 
-# Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
+# Answers are equal if their velocities agree to this part of the sizes of their terms.
 SAME = 1e-8
 
 
@@ -233,13 +233,13 @@ def enumerated(form: LocalForm) -> Iterator[Iterate]:
     """
     if (reason := not_enumerated(form)) is not None:
         raise Unsupported(reason)
-    seen: list[tuple[Vector, Vector]] = []  # W r + V l, and the sizes that its entries are made of
+    seen: list[tuple[Vector, Vector]] = []  # W r + V l, and the sizes of the terms of its entries
     for count, y in enumerate(y for _, y in _combinations(form).plausible()):
         force = np.stack([y[: form.m], -y[form.m : 2 * form.m]], axis=1)
         found = newton(form, Iterate.at(form, force, y[2 * form.m :]))
         answers = form.velocity(found.force, found.joint_force).ravel() - form.q
         sizes = abs(form.W) @ abs(found.force).ravel() + abs(form.V) @ abs(found.joint_force)
-        # Where the law is missed by more than velocities differ, a better one may follow.
+        # Answers whose violation exceeds the difference of velocities may be replaced by a better one.
         if found.error <= SAME * max(1.0, float(np.max(sizes, initial=0.0))):
             if any(np.all(abs(answers - u) <= SAME * np.maximum(sizes, size)) for u, size in seen):
                 continue

@@ -1,14 +1,14 @@
-"""Rows that a method need not see: they are set aside before it runs, and have their forces again afterwards.
+"""Remove redundant rows before a method runs, and restore their forces afterwards.
 
-Where rows outnumber the unknowns, as in quadratic programs, some follow from others. Contacts and ties that are
-parallel, E_i = c_i E_k, ask for the same displacement along one row: of contacts with c_i > 0 only those with the least
-g_i / c_i can close, and of ties with equal b_i / c_i one holds them all. What the kept row k carries, F, is shared by
-those that close together so that the sum of squares is least: l_i = F c_i / (sum of c_j^2), of one sign. Bounds of one
-unknown are parallel rows, too. A contact with E_i u < g_i wherever the bounds of its unknowns allow u to be cannot
-close, and one that is parallel to a tie that keeps it from closing any further need not push: its force is zero.
+Where rows outnumber the unknowns, as in quadratic programs, some depend on others. Parallel contacts and ties, E_i =
+c_i E_k, constrain the same displacement: of contacts with c_i > 0 only those with the least g_i / c_i can close, and of
+ties with equal b_i / c_i one suffices. The force F of the kept row k is distributed over those that close together with
+the least sum of squares, l_i = F c_i / (sum of c_j^2), all of one sign. Bounds of one unknown are parallel rows, too. A
+contact with E_i u < g_i for all u within the bounds of its unknowns cannot close, and one parallel to a tie that
+prevents penetration has zero force.
 
-Nothing here is decided by a tolerance: rows are parallel and gaps equal where they are so in rational numbers, and what
-a row may reach is summed with the rounding of the sum added. The certificate sees all rows all the same.
+No tolerance is involved: rows are parallel and gaps equal in rational arithmetic, and the range of a row includes the
+rounding error of its sum. The certificate checks all rows.
 
 A problem of very many contacts is solved by a subset of them, which grows until no other contact is penetrated
 (`solve_among`).
@@ -40,9 +40,9 @@ from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.runs import Run
 
-# Places of the random numbers by which rows are told apart before they are compared entry by entry.
+# The number of random hashes by which rows are compared before their entries are.
 SEED = 0
-# Names of rows that a note lists.
+# The most names of rows in a note.
 NAMED = 8
 # Rounding of a sum of q products, and of the bounds in them, is at most (q + ROUNDINGS) eps of the sum of their sizes.
 ROUNDINGS = 4
@@ -51,7 +51,7 @@ ONE = Fraction(1)
 
 @dataclass(frozen=True)
 class Parallel:
-    """Rows that are parallel: row i is c_i times the first of them."""
+    """Parallel rows, of which row i is c_i times the first one."""
 
     rows: Indices
     factors: tuple[Fraction, ...]  # c_i, the first of them one
@@ -64,7 +64,7 @@ class Parallel:
         return self.rows[at], [self.factors[place] for place in at]
 
     def same(self, limit: Vector) -> tuple[Indices, list[Fraction]]:
-        """Return the ties that are met wherever the first is, and their factors."""
+        """Return the ties that the first one implies, and their factors."""
         first = Fraction(float(limit[self.rows[0]]))
         pairs = enumerate(zip(self.rows, self.factors, strict=True))
         at = [place for place, (i, c) in pairs if Fraction(float(limit[i])) == c * first]
@@ -74,7 +74,7 @@ class Parallel:
 def parallel_rows(rows: Any, signed: bool, beyond: int = 0) -> tuple[Parallel, ...]:
     """Return the parallel rows of a CSR matrix; signed rows, as contacts are, must point the same way.
 
-    Those of which no row lies at `beyond` or after it are left out.
+    Groups without a row of index `beyond` or larger are left out.
     """
     lengths = np.diff(rows.indptr)
     filled = np.flatnonzero(lengths)
@@ -83,14 +83,14 @@ def parallel_rows(rows: Any, signed: bool, beyond: int = 0) -> tuple[Parallel, .
     first = np.zeros(len(lengths))
     first[filled] = rows.data[rows.indptr[filled]]
     ratio = rows.data / np.repeat(first, lengths)
-    # Quotients of doubles are rounded alike where they are alike, and so are their sums in the same order.
+    # Equal quotients of doubles are rounded equally, and so are sums in the same order.
     marks = np.random.default_rng(SEED).uniform(1.0, 2.0, rows.shape[1])[rows.indices] * ratio
     key = np.add.reduceat(marks, rows.indptr[filled])
     sense = np.sign(first[filled]) if signed else np.ones(len(filled))
     order = np.lexsort((filled, sense, key))
     changes = (np.diff(key[order]) != 0) | (np.diff(sense[order]) != 0)
     ends = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(order)]])
-    several = np.flatnonzero(np.diff(ends) > 1)  # of many rows nearly every one is a group by itself
+    several = np.flatnonzero(np.diff(ends) > 1)  # most groups consist of a single row
     several = several[filled[order[ends[several + 1] - 1]] >= beyond]
     groups = [filled[order[ends[i] : ends[i + 1]]] for i in several]
     if not groups:
@@ -104,9 +104,9 @@ def parallel_rows(rows: Any, signed: bool, beyond: int = 0) -> tuple[Parallel, .
 
 
 def _powers_of_two(rows: Any, ones: Indices, others: Indices) -> Vector:
-    """Return the factors c of rows that are c times others to the last digit, c a power of two; NaN of the rest.
+    """Return the factors c of rows that are exactly c times others with c a power of two, NaN for the rest.
 
-    Products with c are exact, but for tiny ones.
+    Products with c are exact unless they underflow.
     """
     lengths = np.diff(rows.indptr)
     alike = np.flatnonzero(lengths[ones] == lengths[others])
@@ -125,9 +125,9 @@ def _powers_of_two(rows: Any, ones: Indices, others: Indices) -> Vector:
 
 
 def _verified(rows: Any, members: Indices, powers: Vector) -> Iterator[Parallel]:
-    """Yield the rows among `members` that are exactly parallel to the first of them, if there are any.
+    """Yield groups of the rows among `members` that are exactly parallel to their first one.
 
-    `powers` are the factors of the others that are powers of two.
+    `powers` are the factors of rows that are powers of two.
     """
     if not np.isnan(powers).any():
         yield Parallel(members, (ONE, *(Fraction(c) if c != 1 else ONE for c in powers.tolist())))
@@ -152,7 +152,7 @@ def _factor(values: Vector, others: Vector) -> Fraction | None:
 
 
 def never_close(problem: ContactProblem) -> Indices:
-    """Return the contacts of several unknowns that cannot close, as far as bounds of single unknowns tell."""
+    """Return the contacts of several unknowns that cannot close within the bounds of single unknowns."""
     E = problem.normal
     lower, upper = bounds_of_unknowns(problem)
     with np.errstate(invalid="ignore"):  # 0 times infinity does not occur: entries of zero are not stored
@@ -169,9 +169,8 @@ def never_close(problem: ContactProblem) -> Indices:
 
 
 def held_by_ties(problem: ContactProblem) -> Indices:
-    """Return the contacts that a tie holds open or just closed, wherever the rest is: E_i = c A_k with c b_k <= g_i.
-
-    The tie takes whatever force such a contact might have.
+    """Return the contacts whose gap a tie fixes as nonnegative, E_i = c A_k with c b_k <= g_i; the tie carries their
+    force.
     """
     m, held = problem.contacts, []
     for group in _groups(problem)[2]:
@@ -188,20 +187,20 @@ def held_by_ties(problem: ContactProblem) -> Indices:
 
 @dataclass(frozen=True)
 class Shares:
-    """The shares of removed rows in the forces of kept ones: force = matrix @ (forces of the kept rows)."""
+    """The distribution of the forces of kept rows over all rows: force = matrix @ (forces of the kept rows)."""
 
     kept: Indices
     matrix: Any  # (all, kept) CSR
 
     def restricted(self, force: Vector) -> Vector:
-        """Return the forces of the kept rows that have the resultant of the forces of all rows."""
+        """Return the forces of the kept rows with the same resultant as those of all rows."""
         weight = np.asarray(self.matrix.multiply(self.matrix).sum(axis=0)).ravel()
         return np.asarray(self.matrix.T @ force / weight)
 
 
 @dataclass(frozen=True, eq=False)
 class Presolved:
-    """A problem with the rows that a method is shown, and the shares that give all rows their forces."""
+    """A problem with the kept rows, and the distributions that give all rows their forces."""
 
     problem: ContactProblem
     contacts: Shares
@@ -209,7 +208,7 @@ class Presolved:
     notes: tuple[str, ...]
 
     def restricted(self, start: Candidate | None) -> Candidate | None:
-        """Return a start on all rows as one on the kept rows."""
+        """Return a start for the kept rows from one for all rows."""
         if start is None:
             return None
         answer = start.answer
@@ -217,14 +216,14 @@ class Presolved:
         return replace(start, answer=replace(answer, normal_force=normal, tie_force=tie))
 
     def spread(self, found: Candidate | Final) -> Any:
-        """Return an answer on the kept rows as one on all rows."""
+        """Return the answer for all rows from one for the kept rows."""
         answer = found.answer
         normal, tie = self.contacts.matrix @ answer.normal_force, self.ties.matrix @ answer.tie_force
         return replace(found, answer=replace(answer, normal_force=normal, tie_force=tie))
 
 
 def _groups(problem: ContactProblem) -> tuple[tuple[Parallel, ...], ...]:
-    """Return the parallel rows of contacts, of ties, and of ties with contacts or others; they are looked for once."""
+    """Return the groups of parallel rows of contacts, of ties, and of ties with contacts, found once."""
     if problem._computed.parallel_rows is None:
         E, A = problem.normal, problem.tie
         both = parallel_rows(sp.csr_matrix(sp.vstack([E, A])), False, len(problem.gap)) if problem.ties else ()
@@ -234,7 +233,7 @@ def _groups(problem: ContactProblem) -> tuple[tuple[Parallel, ...], ...]:
 
 
 def presolved(problem: ContactProblem) -> Presolved | None:
-    """Return the frictionless problem without idle and parallel rows; None where there are none of these."""
+    """Return the frictionless problem without idle and parallel rows, None if it has none."""
     groups = _groups(problem)
     tied = held_by_ties(problem)
     idle, notes = np.union1d(never_close(problem), tied), list[str]()
@@ -266,9 +265,10 @@ def _more(count: int, text: str) -> str:
 
 
 def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], idle: Indices) -> Shares:
-    """Return which of `count` rows are kept, and the shares of the others in their forces.
+    """Return which of `count` rows are kept, and the distribution of their forces over all rows.
 
-    Of each group (all rows, those that act together, their factors) the first that acts is kept, of idle rows none.
+    Of each group (all rows, those that act together, their factors) the first acting row is kept; idle rows are
+    removed.
     """
     owner, share, kept = np.arange(count), np.ones(count), np.ones(count, dtype=bool)
     for members, acting, factors in groups:
@@ -287,7 +287,7 @@ def _shares(count: int, groups: list[tuple[Indices, Indices, list[Fraction]]], i
 
 
 def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactProblem:
-    """Return the problem with these rows alone; what is computed for them is kept for other loads and gaps."""
+    """Return the problem with these rows only, with cached results for other loads and gaps."""
     cached = problem._computed.presolved
     if cached is None or not (np.array_equal(cached[0], contacts) and np.array_equal(cached[1], ties)):
         cached = problem._computed.presolved = (contacts, ties, problem.with_contacts(contacts).with_ties(ties))
@@ -298,7 +298,7 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
 
 
 class PresolvedRun(Run):
-    """A run on the kept rows whose answer is one on all rows.
+    """A run on the kept rows that returns an answer for all rows.
 
     Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as the run on the kept rows.
 
@@ -346,14 +346,14 @@ class PresolvedRun(Run):
         return whole
 
     def final(self) -> Final:
-        """Return the answer that is to be certified, with a force for every row."""
+        """Return the answer to be certified, with a force for every row."""
         self._run.polish = self.polish
         with self._run.meter.running():
             whole: Final = self._fewer.spread(self._run.final())
         return whole
 
     def work(self, corrections: int) -> Work:
-        """Return what the answer has cost so far, without the certificate of all rows."""
+        """Return the work so far, without the certificate of all rows."""
         return self._run.work(corrections)
 
     def refuse_conflict(self) -> None:
@@ -377,10 +377,10 @@ def solve_among(
     solve: Callable[[ContactProblem, Solution | None], Solution],
     without_friction: WithoutFriction,
 ) -> Solution | None:
-    """Solve a problem with candidate contacts alone, and certify the answer with all contacts.
+    """Solve a problem with a growing subset of its contacts, and certify the answer with all contacts.
 
-    Returns None where all contacts are few enough, or no candidates are found. Where the candidates cannot hold the
-    bodies, all contacts are taken at once.
+    Returns None if the contacts are few or no subset is found. If the subset cannot hold the bodies, all contacts are
+    used.
 
     Parameters
     ----------
@@ -417,9 +417,10 @@ def solve_among(
 def _first(
     problem: ContactProblem, start: Solution | None, without_friction: WithoutFriction
 ) -> tuple[Indices | None, Work]:
-    """Return the first candidates, None for all contacts, and the work of finding them.
+    """Return the first subset, None for all contacts, and the work of finding it.
 
-    With friction they are those of the last load, or near those that close at the start, else without friction.
+    With friction it is that of the last load, or contacts near those closed at the start, or those closed without
+    friction.
     """
     if not problem.frictional or not contacts_are_many(problem) or problem._computed.subset is not None:
         return first_candidates(problem), Work()
@@ -433,7 +434,7 @@ def _first(
 
 
 def _spent_on(subset: ContactProblem) -> Work:
-    """Return the work spent on a problem that came to no answer."""
+    """Return the work spent on a problem without an answer."""
     condensation = condense(subset)
     return Work(factorisations=condensation.factorisations, back_substitutions=condensation.back_substitutions)
 

@@ -1,7 +1,7 @@
-"""A method's run on a problem: what it is shown, the answer that it finds, and that answer polished and certified.
+"""Run a method on a problem: pose the problem to it, then polish and certify its answer.
 
-The run keeps the method's candidate, in the unknowns that the method was shown, and counts what it costs. Which of the
-runs a problem gets is the table `contactqp.solving.solve.RUN_RULES`.
+A run keeps the method's candidate, in the unknowns of the posed problem, and counts its work. The table
+`contactqp.solving.solve.RUN_RULES` chooses the class of run for a problem.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
 
 class Meter:
-    """Counts what one answer costs, the condensation included where it is the first to need it."""
+    """Counts the work of one answer, including the condensation if it is not cached."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self.problem = problem
@@ -92,17 +92,17 @@ class Meter:
 
 
 class Run(ABC):
-    """One method on one problem; `finish` polishes and certifies what it found.
+    """One method on one problem; `finish` polishes and certifies its candidate.
 
     Attributes
     ----------
     name, exact : str, bool
-        How the answer's method is called, and whether it promises the exact answer: those of the method, or of the
-        algorithm of friction that takes steps of it.
+        The name of the method in the answer, and whether it promises the exact answer; with friction, those of the
+        algorithm that uses the method.
     candidate : Candidate
-        What the method found, in the unknowns of the problem that it was shown.
+        The answer of the method, in the unknowns of the posed problem.
     polish : bool
-        Whether `finish` solves again, to the last digits, on the set of closed contacts that the method found.
+        Whether `finish` solves again, to the last digits, on the method's set of closed contacts.
     seconds : float
         Spent before `finish`.
     """
@@ -150,14 +150,14 @@ class Run(ABC):
             return self._accepted(*self._certified(started))
 
     def seconds_to_answer(self) -> float:
-        """Polish as `finish` does, and return the seconds that this and the method took; nothing is certified."""
+        """Polish as `finish` does, and return the seconds of method and polishing, without certifying."""
         started = time.perf_counter() - self.seconds
         with self.problem.lock, one_blas_thread(self.problem), stage(POLISH), self.meter.running():
             self.final()
             return time.perf_counter() - started
 
     def _accepted(self, solution: Solution, polished: bool) -> Solution:
-        """Return the solution; raise where the method did not converge or the certificate refuses an exact method."""
+        """Return the solution, or raise if the method did not converge or the certificate refuses an exact method."""
         candidate, name = self.candidate, self.name
         if not polished and not candidate.claimed:
             if not time_is_up():
@@ -170,7 +170,7 @@ class Run(ABC):
             failures = "; ".join(solution.certificate.failures)
             raise NotCertified(f"{name}: the certificate refuses the answer: {failures}", solution)
         if self.exact and _unmet(self.problem, solution):
-            self.refuse_conflict()  # what is beneath the tolerance may be a conflict of constraints
+            self.refuse_conflict()  # violations below the tolerance may be a conflict of constraints
         return solution
 
     def _certified(self, started: float) -> tuple[Solution, bool]:
@@ -185,7 +185,7 @@ class Run(ABC):
             with nullcontext() if final.polished or candidate.claimed or not time_is_up() else unfinished():
                 certificate = certificate_of(problem, answer)
             certified = time.perf_counter()
-            # The active-set method's own answer is the set; what came before its refinement is no other method's.
+            # The active-set method has no raw answer, as refinement is part of it.
             raw = self._raw(answer.friction_force) if final.polished and self.method.kind != "active set" else None
         status = contact_status(problem, certificate) if final.contact_status is None else final.contact_status
         solution = Solution(
@@ -210,7 +210,7 @@ class Run(ABC):
 
 
 def after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solution:
-    """Return the solution of a later attempt with the message and the work of the one that failed before."""
+    """Return the solution of a later attempt with message and work of the failed one added."""
     spent = first.work if isinstance(first := error.solution, Solution) else Work()
     return replace(found, work=replace(found.work.after(spent), routes=(str(error), f"{how}: its answer is certified")))
 
@@ -218,7 +218,7 @@ def after(error: NotCertified | NotConverged, how: str, found: Solution) -> Solu
 def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     """Return whether an answer penetrates or misses ties by more than rounding of the lengths that meet."""
     u, found = solution.answer.displacement, solution.certificate.violations
-    apart = found is not None and bool((found.gap >= 0).all())  # to twice the digits of what is formed here
+    apart = found is not None and bool((found.gap >= 0).all())  # in twice double precision
     for rows, limit, signed in ((problem.normal, problem.gap, True), (problem.tie, problem.tie_value, False)):
         if not limit.size or (signed and apart):
             continue
@@ -229,12 +229,12 @@ def _unmet(problem: ContactProblem, solution: Solution) -> bool:
     return False
 
 
-# The kind of methods that condense whatever they are shown.
+# The kind of methods that condense every problem.
 CONDENSES_ITSELF = "active set"
 
 
 class CondensedRun(Run):
-    """The method on the contact unknowns alone, or on all where condensing is not wanted or makes nothing smaller.
+    """The method on the contact unknowns, or on all if condensing is switched off or reduces nothing.
 
     Raises NoEquilibrium, NotConverged, BackendFailed, Unsupported as `solve` does; Unsupported too where the dense
     matrices are predicted to be too large.
@@ -265,13 +265,13 @@ class CondensedRun(Run):
                 raise
 
     def final(self) -> Final:
-        """Return the answer that is to be certified: refined on its set where that is asked for, else as it came."""
+        """Return the answer to be certified, refined on its set if `polish` is set."""
         found = self._polished() if self.polish and self.method.polish else None
         return self._as_it_came() if found is None else found
 
     @cached_property
     def expanded(self) -> Candidate:
-        """Return the candidate in the unknowns of the problem, by a back-substitution that polishing does without."""
+        """Return the candidate in the unknowns of the problem, by a back-substitution."""
         if self._whole:
             return self.candidate
         _, inner = self._condensation.reduce_load(self.problem.load)
@@ -289,17 +289,17 @@ class CondensedRun(Run):
         return replace(self.candidate, answer=replace(self.candidate.answer, displacement=displacement))
 
     def work(self, corrections: int) -> Work:
-        """Return what the answer has cost so far, and how many unknowns the method was shown."""
+        """Return the work so far, with the number of unknowns of the posed problem."""
         spent = super().work(corrections)
         if self._whole and self.method.kind != CONDENSES_ITSELF:
             return replace(spent, retained=self.problem.dimension)
         return spent
 
     def _run(self, settings: Settings, wanted: bool | str) -> tuple[bool, Candidate]:
-        """Run the method; return whether it was shown all unknowns, and its candidate."""
+        """Run the method; return whether it was posed all unknowns, and its candidate."""
         problem, condensation, method = self.problem, self._condensation, self.method
-        # Condensed, motions that nothing drives or resists are held: with them "auto" condenses even where nothing
-        # lies inside.
+        # Condensation fixes motions that nothing drives or resists, so with these "auto" condenses even without
+        # interior unknowns.
         smaller = len(condensation.retained) < problem.dimension or condensation.rigid.count > 0
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
@@ -316,7 +316,7 @@ class CondensedRun(Run):
         return False, _run_scaled(condensation.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:
-        """Return the refined answer on the candidate's contact set, or None where its signs do not hold."""
+        """Return the refined answer on the candidate's contact set, None if its signs are wrong."""
         problem, condensation, found = self.problem, self._condensation, self.candidate.answer
         if not all_finite(found):
             return None
@@ -334,7 +334,7 @@ class CondensedRun(Run):
         return Final(without_noise(problem, condensation, answer), motions, corrections, polished=True)
 
     def _as_it_came(self) -> Final:
-        """Return the candidate as the method found it, with its free motions put to rest."""
+        """Return the candidate of the method without components along free motions."""
         answer = replace(self.expanded.answer, friction_force=None)
         if not all_finite(answer):
             return Final(answer)
@@ -351,7 +351,7 @@ def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
 
 
 def _condensed(problem: ContactProblem) -> Condensation:
-    """Condense a problem; of a large one another thread meanwhile lays out what refinement and certificate need."""
+    """Condense a problem; for a large one, a second thread prepares data of refinement and certificate."""
     if problem.dimension < LARGE:
         return condensation_of(problem)
     with ThreadPoolExecutor(1) as pool:
@@ -407,9 +407,9 @@ class EnforcedRun(Run):
                 raise
 
     def final(self) -> Final:
-        """Return the answer that is to be certified: the candidate with zeros in place of its rounding."""
+        """Return the answer to be certified, the candidate with rounding errors set to zero."""
         u, normal, friction, tie = _without_noise(self.problem, self.candidate.answer)
-        # A spring's stretch is no slip, which a certificate that knows of no springs cannot tell.
+        # The elongation of a tangential spring is not slip, which the certificate cannot distinguish.
         status = None if self.method.exact else self.candidate.contact_status
         return Final(Answer(u, normal, friction[:, None], tie), contact_status=status)
 
@@ -419,9 +419,9 @@ class EnforcedRun(Run):
 
 
 def _without_noise(problem: ContactProblem, found: Answer) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return displacement, normal, friction and tie forces, zero where they are the rounding that refinement leaves.
+    """Return displacement, normal, friction and tie forces, with rounding errors set to zero.
 
-    All are compared as square roots of energy: forces by the rows that they act along.
+    All are compared as square roots of energy, forces by means of their rows.
     """
     D = unknown_scale(problem)
     friction = np.zeros(problem.contacts) if found.friction_force is None else found.friction_force[:, 0]
@@ -439,7 +439,7 @@ _ELSE = "to factorise it all the same: CONTACTQP_SPARSE_SOLVER=pardiso (pip inst
 
 
 class RunByIteration(Run):
-    """A run on a body too large to factorise, whose cost is counted in steps of its iteration.
+    """A run on a body that is too large to factorise; its work is counted in iterations.
 
     Raises Unsupported: another method than the active set.
     """
@@ -466,13 +466,14 @@ class RunByIteration(Run):
         )
 
     def refuse_conflict(self) -> None:
-        """Do nothing: without a factorisation a conflict of constraints is not recognised."""
+        """Do nothing, as a conflict of constraints cannot be proven without a factorisation."""
 
 
 class IteratedRun(RunByIteration):
-    """The active set by conjugate gradients on a body too large to factorise, as accurate as the certificate asks.
+    """The active set by conjugate gradients on a body that is too large to factorise, as accurate as the certificate
+    requires.
 
-    Raises Unsupported: another method than the active set, or a wish to condense; NotConverged as `solve_by_iteration`
+    Raises Unsupported: another method than the active set, or `condense` is True; NotConverged as `solve_by_iteration`
     does; NoEquilibrium: the load drives a rigid motion that nothing holds.
 
     Parameters
@@ -485,11 +486,11 @@ class IteratedRun(RunByIteration):
             raise Unsupported(f"{method.name}: condensing a body this large means factorising it; {_ELSE}")
         super().__init__(problem, method, iteration)
         refuse_driven_motion(problem, self.iteration.rigid)
-        with on_one_thread():  # nothing dense here is large
+        with on_one_thread():  # no large dense matrices
             self.candidate = solve_by_iteration(problem, self.iteration, settings.now)
 
     def final(self) -> Final:
-        """Return the candidate with its free motions at rest, which is the answer that is to be certified."""
+        """Return the answer to be certified, the candidate without components along free motions."""
         found, floating = replace(self.candidate.answer, friction_force=None), self.iteration.floating
         if not floating.count:
             return Final(found)

@@ -1,7 +1,7 @@
 """`solve` condenses a problem, runs a method on it, expands and polishes the answer, and certifies it.
 
-Large problems are iterated or stay sparse instead. With very many contacts, a subset of them is solved and enlarged
-until no other contact is penetrated.
+Large problems are solved iteratively or by sparse systems instead. With very many contacts, a subset of them is solved
+and enlarged until no other contact is penetrated. The table `RUN_RULES` at the end chooses the class of run.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def _solve_any(
 ) -> Solution | LocalSolution:
     if not isinstance(problem, LocalProblem) and type(problem) is not ContactProblem:
         refuse_other("solve", problem, ContactProblem, LocalProblem)
-    if isinstance(engine, str) and engine == SERIAL:  # other engines have methods of their own
+    if isinstance(engine, str) and engine == SERIAL:  # other engines have their own methods
         method = registered_name(method)
     else:
         refuse_unknown_engine(engine)
@@ -217,7 +217,7 @@ def _solve_any(
 def _solve(
     problem: ContactProblem, method: str, warm_start: Solution | None, engine: str, same: dict[str, Any]
 ) -> Solution:
-    """Solve on another engine, in other units, on a subset of the contacts or as it is; if this fails, otherwise."""
+    """Solve on another engine, in other units, on a subset of the contacts or directly, else by other routes."""
     condense, algorithm = same["condense"], same["algorithm"]
     options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
     problem.refuse_exchanged_arrays()
@@ -246,7 +246,7 @@ def _solve(
             )
         if among is not None:
             return among
-        systems = systems_of(problem)  # the search may have found that a body floats
+        systems = systems_of(problem)  # the search may have shown that a body floats
     settings = Settings(same["tolerance"], same["max_iter"], same["time_limit"], start, options)
     try:
         return _begun(problem, method, systems, settings, condense, same["polish"], algorithm).finish()
@@ -257,7 +257,7 @@ def _solve(
             if limited or sparse_before or systems not in (Systems.CONDENSED, Systems.SPARSE):
                 raise
             return by_sparse_systems(problem, find(method), settings, error)
-        systems = systems_of(problem)  # what has failed may have found that a body floats
+        systems = systems_of(problem)  # the failed attempt may have shown that a body floats
         if systems is Systems.ITERATED:
             if not may_be_factorised(problem):
                 raise
@@ -268,14 +268,14 @@ def _solve(
                 raise  # the other routes condense
             condense_anyway(problem)
             return after(error, "condensed", solve(problem, method, warm_start=warm_start, **same))
-        # With friction the default has tried all algorithms where none converges.
+        # With friction NotConverged means that the default has tried all algorithms.
         if problem.frictional and (algorithm is not None or isinstance(error, NotConverged)):
             raise
         return _by_another_route(problem, error, same)
 
 
 def _without_friction(problem: ContactProblem) -> tuple[Vector, Work]:
-    """Return the normal forces (m,) of a problem without its friction, and their work; they may be uncertified."""
+    """Return the normal forces (m,) of the problem without friction, possibly uncertified, and the work."""
     slippery = problem.replace(friction=np.zeros(problem.contacts))
     if contacts_are_many(slippery):
         found = solve(slippery)
@@ -291,8 +291,8 @@ def _routes(problem: ContactProblem) -> dict[str, dict[str, Any]]:
 
         routes: dict[str, dict[str, Any]] = {route: {"algorithm": route} for route in FRICTIONAL_ROUTES}
         if problem.slip_origin.shape[1] > 1:
-            routes["aclm"]["method"] = "clarabel"  # it takes cones in space as they are
-        elif problem.contacts <= FEW_CONTACTS:  # all combinations take less than thousands of iterations
+            routes["aclm"]["method"] = "clarabel"  # it accepts cones in space
+        elif problem.contacts <= FEW_CONTACTS:  # trying all combinations is cheaper than thousands of iterations
             return {name: routes.pop(name) for name in ("newton", "enumeration")} | routes
         return routes
     constraints = problem.contacts + problem.ties
@@ -345,7 +345,7 @@ def _without_idle_rows(rows: ActingRows, method: str, warm_start: Any, **same: A
 
 
 def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) -> Solution:
-    """Solve a problem in units in which its numbers are near one, and return the solution in its own units."""
+    """Solve a problem in units in which its numbers are near one, and convert the solution back."""
     warm_candidate(near.whole, warm_start)
     start = None if warm_start is None else near.start(warm_start)
     try:
@@ -362,7 +362,7 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
 
 
 def of_problem(near: NearOne, found: Solution) -> Solution:
-    """Return a solution in units near one as one of the problem, certified in the problem's units.
+    """Convert a solution in units near one to the units of the problem, and certify it there.
 
     Raises InvalidProblem, NotCertified: the answer, or a gap that it closes, is beyond doubles, or is below them.
     """
@@ -422,7 +422,7 @@ def _begun(
         from contactqp.solving.friction_runs import refuse_unknown_algorithm
 
         refuse_unknown_algorithm(algorithm)
-    if settings.options and not problem.frictional:  # cones of friction forces that nothing has
+    if settings.options and not problem.frictional:  # options of friction cones without friction
         others = {name: value for name, value in settings.options.items() if name not in POLYGON_OPTIONS}
         settings = replace(settings, options=others)
     with problem.lock, one_blas_thread(problem), stage(METHOD):
@@ -440,7 +440,7 @@ def _run(
 
 @dataclass(frozen=True)
 class RunRule:
-    """One rule of the table `RUN_RULES`: when it applies, and the run that it then makes."""
+    """One rule of the table `RUN_RULES`: a condition and the run that it selects."""
 
     applies: Callable[[Systems, ContactProblem, Method, bool | str], bool]  # condense
     run: Callable[[ContactProblem, Method, Settings, Systems, bool | str, str | None], Run]  # condense, algorithm
@@ -476,23 +476,23 @@ def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense:
 
 # The first that applies is taken.
 RUN_RULES = (
-    # The method has systems of stick and slip of its own, in the problem's own unknowns.
+    # The method has its own systems of stick and slip, in all unknowns of the problem.
     RunRule(
         lambda _, problem, method, __: problem.frictional and method.solve_friction is not None,
         lambda problem, method, settings, *_: EnforcedRun(problem, method, settings),
     ),
-    # Coulomb's law is no minimisation: an algorithm takes it in steps, convex ones of the method or others.
+    # Friction is solved by an algorithm, which may use the method for its convex steps.
     RunRule(lambda _, problem, *__: problem.frictional, _run_friction),
     # The body is too large to factorise.
     RunRule(
         lambda systems, *_: systems is Systems.ITERATED,
         lambda problem, method, settings, _, condense, __: IteratedRun(problem, method, settings, condense),
     ),
-    # Rows outnumber the unknowns, and some are not needed.
+    # Rows outnumber the unknowns, and some are redundant.
     RunRule(_has_rows_to_spare, _run_presolved),
-    # Constraints are so many, or K sees so little, that condensing costs more than sparse systems.
+    # There are so many constraints, or K is so singular, that condensing costs more than sparse systems.
     RunRule(_stays_sparse, lambda problem, method, settings, *_: SparseRun(problem, method, settings)),
-    # Contacts and ties touch few unknowns, and the method sees these alone unless `condense` says otherwise.
+    # Contacts and ties touch few unknowns, and the method is posed only these unless `condense` is False.
     RunRule(
         lambda *_: True,
         lambda problem, method, settings, _, condense, __: CondensedRun(problem, method, settings, condense),

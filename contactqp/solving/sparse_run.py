@@ -1,8 +1,8 @@
-"""The active set without condensing: for as many constraints as unknowns, and for energies that K does not determine.
+"""The active set without condensing, for as many constraints as unknowns, and for singular K as in linear programs.
 
-An interior-point backend finds which contacts close; sparse saddle points of these, refined in extended precision, give
-the answer (`contactqp.linalg.sparse_saddle`). Where the backend stopped too early to tell, Newton's steps along the
-central path, or a linear program to a vertex nearby, go on from its answer (`contactqp.linalg.interior_point`).
+An interior-point backend identifies the closed contacts, and sparse saddle-point systems with these, refined in
+extended precision, give the answer (`contactqp.linalg.sparse_saddle`). If the backend stopped too early to identify
+them, Newton steps along the central path, or a linear program to a nearby vertex, continue (`linalg.interior_point`).
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 from contactqp.solving.runs import CONDENSES_ITSELF, Run, after, described
 
-# Backends that identify the closed contacts, one after another until an answer settles, each with its tolerance, and
-# the units of the problem that it is shown. Clarabel scales best what it is given as it is, and its factors of rows
-# fill least; with bounds of single unknowns alone PIQP's are those of K, and of the ties where K is diagonal.
+# Backends that identify the closed contacts, tried in this order, each with its tolerance and whether the problem is
+# equilibrated first. Clarabel scales the original problem best, and its factors have the least fill-in with general
+# rows; with bounds only, PIQP's factors are those of K, or of the ties where K is diagonal.
 OWN, EQUILIBRATED, BALANCED_UNITS = range(3)
 IDENTIFICATIONS = (
     ("clarabel", 1e-9, OWN),
@@ -74,41 +74,41 @@ IDENTIFICATIONS = (
     ("piqp", 1e-11, OWN),
 )
 OF_BOUNDS = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
-NEARER = 1e-11  # a backend's tolerance where its first answer settles on nothing
-# Where its factors broke down Clarabel is asked for the equilibrated problem next, and all is made of its answer before
-# others are asked, for as many steps. It balances the rows of the whole system in more rounds than its own 10 there.
-# So it is where it stops short of the answer of a program, or calls it infeasible and `refuse_ray` finds no proof.
+NEARER = 1e-11  # a tighter tolerance if the first answer does not identify the set
+# If its factorisation broke down, Clarabel is run on the equilibrated problem, with more rounds of scaling than its own
+# 10, and its answer is refined for this many steps before other backends are tried. The same applies if it stops early
+# on a program, or calls it infeasible and `refuse_ray` finds no proof.
 BROKE_DOWN, MOST_STEPS, OF_TWINS = "NumericalError", 100, {"equilibrate_max_iter": 50}
-# What Clarabel adds to the diagonal of its systems, 1e-8 of itself, hides rows that nearly depend on each other, as
-# differences of thousands of unknowns do: where it calls its answer almost solved it is asked again with less.
+# The regularisation that Clarabel adds to the diagonal, 1e-8 by default, hides nearly dependent rows such as
+# differences of thousands of unknowns; if its status is "almost solved" it is run again with a smaller one.
 ALMOST, OF_NEARLY_DEPENDENT = "AlmostSolved", {"static_regularization_constant": 1e-12}
-# From so many constraints on their overlap is sought by Clarabel before a linear program seeks it, in so many programs,
-# each from the displacement of the one before; it cannot tell an overlap of less than its tolerance.
+# From this number of constraints on, a conflict is first searched by Clarabel, in at most this many programs, each from
+# the displacement of the one before, as it cannot recognise an overlap below its tolerance.
 MANY_ROWS, OVERLAPS, OVERLAPPING = 10_000, 3, 1e-9
-# What backends say of constraints that they find in conflict, and of energies that they find unbounded.
+# Status texts of backends for infeasible constraints and for unbounded energies.
 INFEASIBLE = "nfeasible"
-# QPALM may end the process (a segmentation fault) where its factors break down, as of a floating chain at 1e10 N/m:
-# it is shown the equilibrated problem, and is not asked again for one that condensed systems have lost.
+# QPALM may crash (segmentation fault) if its factorisation breaks down, as for a floating chain at 1e10 N/m, so it
+# solves the equilibrated problem and is not run again after condensed systems have failed.
 ENDS_PROCESSES = ("qpalm",)
-SYSTEMS_OF_ONE = 1000  # at most, to settle the one answer of a method that is not asked again
-# Forces that balance to this part of those that meet end the search: constraints around the answer take up the rest.
+SYSTEMS_OF_ONE = 1000  # steps of refinement for a method with a single answer
+# # The search ends at this residual relative to the forces that meet; other constraints balance the rest.
 ENOUGH = 1e-18
-# Rows that weights of one move by no more than this, and motions of one that rows resist by no more, may be a ray.
+# Unit weights with products E'w below this, and unit motions with products E z below this, may be a ray.
 NEARLY = 1e-5
-# HiGHS' active set knows vertices that no interior point sees; it may take long, and then is given up [s].
+# The time limit of HiGHS's active set [s], which finds vertices that interior points do not.
 LAST, LONGEST = "highs", 20.0
-SPARSE = "sparse"  # the name of this route where others are tried before
+SPARSE = "sparse"  # the name of this route among others
 
 
 def has_sparse_systems(method: Method) -> bool:
-    """Return whether a method is shown sparse systems, instead of a dense one, where contacts are too many for that."""
+    """Return whether a method may use sparse systems where there are too many contacts for a dense one."""
     return method.sparse and method.kind in (CONDENSES_ITSELF, "quadratic program", "modelling language")
 
 
 class SparseRun(Run):
-    """The problem in all its unknowns and constraints, sparse.
+    """A run on all unknowns and constraints by sparse systems.
 
-    Raises NoEquilibrium: the constraints conflict, or the energy falls for ever; NotConverged: no answer has led on.
+    Raises NoEquilibrium: the constraints conflict, or the energy is unbounded; NotConverged: no backend helped.
 
     Parameters
     ----------
@@ -122,11 +122,11 @@ class SparseRun(Run):
         super().__init__(problem, method)
         self._effort = Effort(wasted=WASTED_AT_FIRST, singles=least_norm.DUAL_CHANGES if settings.max_iter else 0)
         self._most = settings.max_iter or np.inf  # factorisations
-        self._waiting: list[Candidate] = []  # answers from which more changes of the closed contacts may lead on
+        self._waiting: list[Candidate] = []  # answers from which further changes of the set are possible
         self._twin, self._scaling = equilibrated(problem)
         self._settings, self._looked_for_overlap = settings, False
         self._state: ClosedState | None = None
-        self._last: Candidate | None = None  # the answer that was looked at last
+        self._last: Candidate | None = None  # the last answer examined
         if not in_range(self._twin):
             raise NotConverged(f"{method.name}: the numbers of the problem leave the range of doubles")
         refuse_late(f"{method.name} began")
@@ -144,7 +144,7 @@ class SparseRun(Run):
                 self.candidate = method.solve(problem, settings.now)
 
     def _identified(self, settings: Settings) -> Candidate:
-        """Return the answer that `_settled` finds, or where the time is up the last one that was tried."""
+        """Return the answer of `_settled`, or the last one tried when time is up."""
         try:
             return self._settled(settings) if self.problem.contacts else self._linear()
         except NotConverged as error:
@@ -155,7 +155,7 @@ class SparseRun(Run):
     def _settled(self, settings: Settings) -> Candidate:
         """Return the candidate whose closed contacts lead to a solution.
 
-        Where many changes of the set lead from one answer to no solution, the next is asked for first.
+        If many changes of the set lead from one answer to no solution, the next backend is tried first.
         """
         best: Candidate | None = None
         tried, failed = list[str](), list[Candidate]()
@@ -165,10 +165,10 @@ class SparseRun(Run):
                 refuse_ray(self.problem, self._scaling.scale(found.answer))
             state = self._settle(found)
             if before is not None and not (state.holds and state.better_than(before, WORTH_ANOTHER)):
-                self._state = before  # what it leaves is rounding of the data
+                self._state = before  # the residual is rounding of the data
                 break
             if state.holds:
-                best, self._effort.singles = found, least_norm.DUAL_CHANGES  # others need not be led on one by one
+                best, self._effort.singles = found, least_norm.DUAL_CHANGES  # others need no further changes
             else:
                 if self._effort.cut or (not found.claimed and self._effort.wasted < WASTED):
                     self._waiting.append(found)
@@ -187,7 +187,7 @@ class SparseRun(Run):
         return best
 
     def _candidates(self, settings: Settings, tried: list[str]) -> Iterator[Candidate]:
-        """Yield the start, if one is given, and the answers of backends, one after the other."""
+        """Yield the start, if one is given, and then the answers of backends."""
         if settings.warm_start is not None:
             yield replace(settings.warm_start, iterations=0)
         elif (found := _by_iteration(self.problem, settings)) is not None:
@@ -209,7 +209,7 @@ class SparseRun(Run):
                 twin, scaling = balanced(self.problem)
             try:
                 method = find(name)
-                limit = settings.now.time_limit if method.timed else None  # each step of those that have none is short
+                limit = settings.now.time_limit if method.timed else None  # those without a limit have short steps
                 given = Settings(tolerance, steps, limit, None, options)
                 found = method.solve(self.problem if units == OWN else twin, given)
             except (BackendFailed, BackendMissing, Unsupported) as error:
@@ -248,7 +248,7 @@ class SparseRun(Run):
         return self._scaling.unscale(_candidate(state, "a linear system"))
 
     def _settle(self, candidate: Candidate, driven: bool = False) -> ClosedState:
-        """Return the state that a candidate leads to (`solved_from`); it is kept if it solves the problem."""
+        """Return the state that `solved_from` reaches from a candidate; it is stored if it solves the problem."""
         tell("sparse systems settle the closed contacts")
         hasty = self._effort.wasted < WASTED
         most = self._effort.factorisations + SYSTEMS_AT_FIRST if hasty else np.inf
@@ -260,7 +260,7 @@ class SparseRun(Run):
         return state
 
     def _ask_again(self) -> None:
-        """Ask a backend for a nearer answer, in other units, where its first leads to nothing."""
+        """Run a backend with other tolerance and units if its first answer leads to no solution."""
         options = dict(self._settings.options) or (OF_TWINS if self.name == "clarabel" else {})
         units = [(self._twin, self._scaling)] + [balanced(self.problem)] * mostly_bare(self.problem)
         for twin, scaling in units:
@@ -286,7 +286,7 @@ class SparseRun(Run):
         return True
 
     def final(self) -> Final:
-        """Return the answer that is to be certified: solved on its closed contacts, or as a backend returned it."""
+        """Return the answer to be certified, solved on its closed contacts, or that of a backend."""
         if self._state is None and self.polish and self.method.polish and all_finite(self.candidate.answer):
             self._polish_in_time()
         if self._state is None:
@@ -294,7 +294,7 @@ class SparseRun(Run):
                 self._refuse_overlap()
             return Final(replace(self.candidate.answer, friction_force=None))
         if least_norm.presses(self._state) and not unique_on(self._state).forces:
-            with in_any_time():  # the problem is solved, and this takes little beside that
+            with in_any_time():  # the problem is solved, and this is cheap
                 self._state = least_norm.with_least_forces(self._state, self._effort)
         self._state = least_norm.without_needless_forces(self._state)
         given = _candidate(self._state)
@@ -302,7 +302,7 @@ class SparseRun(Run):
         return self._at_rest(Final(self._scaling.unscale(given).answer, polished=True))
 
     def _polish_in_time(self) -> None:
-        """Settle the closed contacts of a backend's answer, or of a nearer one; leave it as it is when time is up."""
+        """Refine a backend's answer on its closed contacts, or a more accurate one; keep it when time is up."""
         try:
             if ALMOST in self.candidate.status and not self._settings.max_iter:
                 self._asked(self.problem, None, OF_NEARLY_DEPENDENT | dict(self._settings.options))
@@ -313,19 +313,19 @@ class SparseRun(Run):
                 self._ask_again()
                 self._state = self._state or kept
                 if self._state is None and not self.candidate.claimed and INFEASIBLE not in self.candidate.status:
-                    self._effort.wasted = WASTED  # there is no other answer to ask for: all is made of this one
+                    self._effort.wasted = WASTED  # no other answer is available
                     self._settle(self.candidate)
         except NotConverged:
             if not time_is_up():
                 raise
 
     def _at_rest(self, final: Final) -> Final:
-        """Return the answer with its free motions at rest and listed, where the certificate condenses the problem."""
+        """Return the answer without its part along free motions, which are listed, if the certificate condenses."""
         problem = self.problem
         if systems_of(problem) is not Systems.CONDENSED:
             return final
         if self._state is None or unique_on(self._state).displacement:
-            return final  # nothing is free, and the time to the answer has no condensation in it
+            return final  # nothing is free, and a condensation would not count in the time to the answer
         answer, condensation = final.answer, condense(problem)
         pushing = pushing_contacts(problem, answer)
         shift, free = least_norm.shift_to_least_norm(problem, condensation, answer, pushing)
@@ -335,7 +335,7 @@ class SparseRun(Run):
         return replace(final, answer=resting, free_motions=described(problem, free))
 
     def work(self, corrections: int) -> Work:
-        """Return what the answer has cost so far, factorisations inside the backend not counted."""
+        """Return the work so far, without factorisations inside the backend."""
         return Work(
             factorisations=self._effort.factorisations,
             back_substitutions=self._effort.back_substitutions,
@@ -346,19 +346,19 @@ class SparseRun(Run):
         )
 
     def refuse_conflict(self) -> None:
-        """Raise NoEquilibrium if the constraints conflict or the energy falls for ever."""
+        """Raise NoEquilibrium if the constraints conflict or the energy is unbounded below."""
         if self._state is not None:
-            return  # it meets them all to rounding of the largest length
+            return  # it satisfies all constraints to rounding of the largest length
         self._refuse_overlap()
         refuse_sparse_conflict(self.problem)
         refuse_sparse_drive(self.problem)
 
     def _refuse_overlap(self) -> None:
-        """Raise NoEquilibrium where the displacement that overlaps all constraints least proves their conflict.
+        """Raise NoEquilibrium if the displacement with the least violation of the constraints proves their conflict.
 
         It minimises |r|^2 / 2 with E u - r <= g, A u - r = b, rows being of unit length, and its r are Farkas' weights.
-        Where there are thousands this takes a tenth of the time of a linear program, which names fewer rows.
-        A small overlap is found as one of size one, from the displacement before.
+        With thousands of constraints this takes a tenth of the time of a linear program, which names fewer rows. A
+        small overlap is scaled to size one, starting from the previous displacement.
         """
         twin, m = self._twin, self.problem.contacts
         if self._looked_for_overlap or m + twin.ties < MANY_ROWS:
@@ -393,10 +393,10 @@ class SparseRun(Run):
 def by_sparse_systems(
     problem: ContactProblem, method: Method, settings: Settings, error: NotCertified | NotConverged
 ) -> Solution:
-    """Return the certified solution that a backend leads to on sparse systems where condensed ones led to none.
+    """Return the certified solution by sparse systems after condensed ones have failed.
 
-    Methods that take dense matrices, or may end the process, are not run again: the systems begin with their answer.
-    Raises the error where there is none, where it leads to no solution, and with friction.
+    Methods that need dense matrices, or may crash, are not run again; the systems start from their answer. Raises
+    `error` if there is none, if it leads to no solution, and with friction.
 
     Parameters
     ----------
@@ -422,30 +422,30 @@ def by_sparse_systems(
 
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
-    """Return the answer of the inexact active set, where a multigrid hierarchy suits K: held bodies and membranes."""
+    """Return the answer of the inexact active set if a multigrid hierarchy suits K (supported bodies, membranes)."""
     if problem.dimension < LARGE or _separate(problem) or not held_by_hierarchy(problem):
         return None
     return identified_by_iteration(problem, iteration(problem), settings)
 
 
 def _separate(problem: ContactProblem) -> bool:
-    """Return whether K is diagonal and positive, so that ties alone couple the unknowns."""
+    """Return whether K is diagonal and positive, so that only ties couple the unknowns."""
     return problem.stiffness_rows.nnz == problem.dimension and bool(problem.diagonal.all())
 
 
 def _candidate(state: ClosedState, status: str = "") -> Candidate:
-    """Return the answer of a state in doubles, with zeros in place of forces that are rounding."""
+    """Return the answer of a state in doubles, with forces of rounding size set to zero."""
     answer = state.answer.double()
     force = answer.normal_force.clip(min=0.0)
     return Candidate(Answer(answer.displacement, force, None, answer.tie_force), status=status)
 
 
 def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
-    """Raise NoEquilibrium where an answer that a backend does not call solved is a ray that proves it.
+    """Raise NoEquilibrium if the diverged answer of a backend is a ray that proves it.
 
-    Where constraints conflict, forces diverge along Farkas' proof, and where the energy falls for ever, displacements
-    along the motion that nothing resists. What rounding leaves of either is taken up by other rows, bounds of single
-    unknowns first, and the rest is formed in extended precision. `diverged` is in the units of the equilibrated twin.
+    If constraints conflict, the forces diverge along Farkas' weights, and if the energy is unbounded, displacements
+    diverge along a motion that nothing resists. The rounding error of the ray is corrected by other rows, bounds of
+    unknowns first, and the result is checked in extended precision. `diverged` is equilibrated.
     """
     if not all_finite(diverged):
         return
@@ -462,13 +462,13 @@ def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
 
 
 def _rests(problem: ContactProblem, motion: Vector) -> bool:
-    """Return whether nothing resists a motion by more than a backend's tolerance could hide."""
+    """Return whether the resistance to a motion is within a backend's tolerance."""
     felt = (abs(problem.stiffness_rows @ motion), np.maximum(problem.normal @ motion, 0.0), abs(problem.tie @ motion))
     return all(float(np.max(part, initial=0.0)) <= NEARLY for part in felt)
 
 
 def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | None:
-    """Return weights (m + k,) near these with which the rows nearly cancel and overlap; None where they do not."""
+    """Return Farkas' weights (m + k,) near these, with which the rows nearly cancel and overlap, else None."""
     limit = np.concatenate([problem.gap, problem.tie_value])
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     weights = np.concatenate([normal, tie])

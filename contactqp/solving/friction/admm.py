@@ -22,9 +22,9 @@ from contactqp.solving.friction.local_form import JOINT_REGULARISATION, BlockSys
 
 # The residuals are compared after so many iterations, the penalty changes when they differ by this factor.
 EVERY, UNBALANCED = 20, 5.0
-# Most changes of the penalty: it settles, or convergence could not be hoped for.
+# The most changes of the penalty, after which it is fixed so that theory promises convergence.
 MOST_CHANGES = 40
-# Forces this many times those of size one lead nowhere.
+# Iterates with larger scaled forces have diverged.
 HOPELESS = 1e100
 # Over-relaxation.
 RELAXATION = 1.6
@@ -38,7 +38,7 @@ def admm(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
     y = -form.velocity(z, joint) / rho
     iterations = changes = 0
     while True:
-        with np.errstate(over="ignore", invalid="ignore"):  # what is lost is refused below
+        with np.errstate(over="ignore", invalid="ignore"):  # overflow is refused below
             for _ in range(EVERY):
                 shift = form.q.reshape(form.m, form.d).copy()
                 shift[:, 0] += form.mu * rho * lengths(y[:, 1:])
@@ -63,7 +63,7 @@ def admm(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
 
 
 def _first_penalty(form: LocalForm) -> float:
-    """Return a first penalty, 0.1 sqrt(largest eigenvalue of W), of which the largest sum of a row is a bound."""
+    """Return a first penalty, 0.1 sqrt(largest eigenvalue of W), with the eigenvalue bounded by row sums."""
     row_sums = np.asarray(abs(form.W).sum(axis=1)).ravel()
     largest = float(np.max(row_sums, initial=1.0))
     return float(np.sqrt(largest * 1e-2))

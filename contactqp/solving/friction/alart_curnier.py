@@ -33,13 +33,13 @@ from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import EPS, Array, Vector, time_is_up
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
-# The regularisation starts from, stays above, and is given up beyond these; contacts have a compliance of one.
+# The first, the smallest and the largest regularisation, with contacts scaled to a compliance of one.
 REGULARISATION = (1e-6, 1e-12, 1e2)
 # Step lengths that are tried before the regularisation grows.
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
-# By so much the regularisation grows; by the second where it has made no difference to a step, to this part.
+# The factors by which the regularisation grows, the second if it changed a step by less than the third number.
 GROWTH_OF_REGULARISATION, LEAP, ALIKE = 30.0, 1e3, 1e-3
-# A residual that is rounding; one that is this part of the forces falls no further where a step does not lower it.
+# A residual of rounding size; and the part of the forces below which a residual that a step does not lower is final.
 ROUNDING_OF_MAP, ROUNDED = 1e-15, 32 * EPS
 
 
@@ -62,7 +62,7 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
             break
         found = _step(form, best, regularisation)
         if found is None or found.error >= 0.999 * best.error:
-            # Near the rounding of the answer nothing falls any more.
+            # Near the rounding of the answer no step reduces the residual.
             if regularisation >= REGULARISATION[2] or best.error <= ROUNDED * best.size:
                 break
             alike = found is not None and missed is not None and abs(found.error - missed) <= ALIKE * missed
@@ -78,7 +78,7 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
 
 
 def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | None:
-    """Return the best point that is tried along Newton's direction; None where the system has no solution."""
+    """Return the best point of the line search along Newton's direction, None where the system is singular."""
     direction = _direction(form, here, regularisation)
     if direction is None:
         return None
@@ -105,7 +105,7 @@ def _direction(form: LocalForm, here: Iterate, regularisation: float) -> tuple[A
         W = form.W.reshape(form.m, form.d, -1)
         product = np.einsum("iab,ibc->iac", B, W)
         own = np.arange(form.m)
-        # The block of contact i in the columns of contact i.
+        # Indices of the diagonal blocks of contacts.
         view = product.reshape(form.m, form.d, form.m, form.d)
         view[own, :, own, :] += A + regularisation * B
         matrix = product.reshape(form.m * form.d, form.m * form.d)
@@ -154,11 +154,11 @@ def _block_diagonal(blocks: Array) -> sp.csr_array:
     return sp.csr_array((blocks.ravel(), column.ravel(), d * np.arange(m * d + 1)), shape=(m * d, m * d))
 
 
-# The weight, contacts having a compliance of one: at first, at least, and at most before it is given up.
+# The first, the smallest and the largest weight, with contacts scaled to a compliance of one.
 FIRST, LEAST, MOST = 1e-2, 1e-9, 1e3
 # Newton's steps for one proximal point, and those after which the weight halves; the weight grows by this factor.
 STEPS, FEW, GROWTH = 25, 6, 4.0
-# A proximal point is found where its own residual has fallen to this part.
+# A proximal point is accepted when its own residual has fallen to this part.
 FOUND = 1e-2
 PROXIMAL_ROUNDING = 1e-14
 

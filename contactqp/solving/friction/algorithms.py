@@ -1,4 +1,4 @@
-"""The algorithms of Coulomb friction by name: one table, when an algorithm stops, and what is tried by default."""
+"""The table of the algorithms of Coulomb friction by name, their stopping criteria, and the default sequence."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class Algorithm:
     name: str
     iterates: Callable[[LocalForm, ConvexSteps | None, Iterate], Iterator[Iterate]]
     convex: bool  # takes steps of a convex method
-    limit: int  # iterations, where nothing else is said
-    patience: int  # iterates that may come to nothing; then the later half must be better than the earlier
+    limit: int  # default limit of iterations
+    patience: int  # iterates without progress before it is stopped
     about: str
-    # On bodies in the plane, where it needs no local form.
+    # The function that works on bodies in the plane, without a local form.
     on_bodies: Callable[[ContactProblem, Condensation, Method, Settings], FoundOnBodies] | None = None
-    on_ranks: bool = False  # whether ranks of MPI can take it
+    on_ranks: bool = False  # whether it runs on ranks of MPI
 
 
 def _newton_only(form: LocalForm, steps: ConvexSteps | None, start: Iterate) -> Iterator[Iterate]:
@@ -99,12 +99,12 @@ ALGORITHMS = {
         ),
     )
 }
-# Names that `solve` gives another meaning.
+# Names with a special meaning in `solve`.
 TAKEN = ("enumeration", "associated")
 
 
 def register(algorithm: Algorithm) -> None:
-    """Add an algorithm of one's own: `solve` finds it by its name from then on, for local problems and for bodies.
+    """Register an algorithm, which `solve` then finds by its name, for local problems and for bodies.
 
     Raises
     ------
@@ -118,11 +118,11 @@ def register(algorithm: Algorithm) -> None:
 
 # Newton's method starts from iterates at these counts, growing by a half.
 FIRST_POLISH = 4
-# And from those that are as near as this, in the scale of the local form.
+# It also starts from iterates with an error below this, in the scale of the local form.
 NEARLY = 1e-6
-# Iterates that may come to nothing, at most: where contacts are few, what has not moved for so long has no answer.
+# The most iterates without progress for problems with few contacts.
 PATIENCE, PATIENCE_A_CONTACT = 40, 20
-# An error that is this part of another is hardly better.
+# A reduction of the error by less than this factor does not count as progress.
 HARDLY_BETTER = 0.8
 
 
@@ -183,7 +183,7 @@ def run_algorithm(
             if last:
                 break
     except NoEquilibrium as error:
-        # Of a convex step, in scaled forces: whether the load drives a motion is proven elsewhere.
+        # An error of a convex step; whether the load drives a rigid motion is proven elsewhere.
         raise NotConverged(
             f"{name}: the convex problem of a step has no answer that floats find", tuple(history)
         ) from error
@@ -204,18 +204,18 @@ def _stagnates(errors: list[float], patience: int) -> bool:
     return count >= patience and min(errors[count // 2 :]) > HARDLY_BETTER * min(errors[: count // 2])
 
 
-# Tried one after another where no algorithm is asked for: name, iterations.
+# The default sequence of algorithms, with their iterations.
 ATTEMPTS = (
     *(("newton", 1), ("nsgs", 12), ("ppa", 100), ("admm", 1000)),
     *(("aclm", 60), ("tresca", 60), ("combinations", 1000), ("ppa", 1000), ("admm", 20000)),
 )
-# So many of them end at once, and so many are long.
+# The numbers of short and of long attempts among them.
 SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
-# An iterate whose law is violated by less, of the typical gap or slip, satisfies it.
+# An iterate satisfies the law if it violates it by less than this part of the typical gap or slip.
 SOLVED = 1e-10
-# These forget where they start from, or are led astray by it.
+# Algorithms that do not profit from a start.
 FROM_THE_START = ("nsgs", "admm", "aclm", "tresca", "combinations")
-# What these come to, if it is no answer, is nothing that others could start from; in the plane combinations are listed.
+# Algorithms from whose unsuccessful iterates no other one starts; in the plane all combinations are listed instead.
 DRAWN = ("combinations",)
 
 
@@ -230,8 +230,8 @@ def run_any(
 ) -> Outcome:
     """Run Newton's method from a start, then from iterates of other algorithms, until an answer is accepted.
 
-    An iterate that satisfies the law to rounding and is not accepted ends the attempts where contacts are few: the
-    others would come to the same, and combinations near it are tried elsewhere.
+    With few contacts the attempts end at an iterate that satisfies the law to rounding but is not accepted, since the
+    others would reach the same one; combinations near it are tried elsewhere.
 
     Parameters
     ----------

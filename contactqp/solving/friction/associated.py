@@ -1,10 +1,10 @@
-"""The associated relaxation of Coulomb friction: a convex problem, and another law.
+"""Solve the associated relaxation of Coulomb friction, a convex problem with a different law.
 
     min 1/2 u'Ku - f'u    over    E_N u + mu |E_T u - o| <= g,  A u = b
 
 Its multipliers lie in Coulomb's cone, |l_T| <= mu l_N along the slip, but a contact that slides under load opens by
 mu |s|: sliding dilates (Drucker and Prager's flow rule; De Saxce and Feng 1998 call it the implicit law's associated
-counterpart). Where nothing slides it is Coulomb's answer; elsewhere it is none, and a certificate refuses it.
+counterpart). Where nothing slides it is Coulomb's answer; elsewhere it is not, and the certificate refuses it.
 
 In the plane the constraint is two rows, E_N u +- mu E_T u <= g +- mu o with forces l+ and l-, a quadratic program:
 l_N = l+ + l-, l_T = mu (l+ - l-). In space it is a second-order cone, for Clarabel, and Newton's method on
@@ -28,9 +28,9 @@ from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# What the conic solver is asked for, on data of size one; Newton's method does the rest.
+# The tolerance of the conic solver, for data of size one; Newton's method refines its answer.
 TOLERANCE = 1e-11
-# An answer that misses the relaxation's conditions by this part of the size of the data is none.
+# The largest residual of an answer relative to the size of the data.
 MISSED = 1e-9
 MAX_STEPS = 30
 
@@ -109,7 +109,7 @@ class _Program:
         normal = condensation.normal * scale
         tangent = np.zeros((0, len(scale))) if condensation.tangent is None else condensation.tangent.toarray() * scale
         self._length = np.linalg.norm(normal, axis=1)
-        # Signs as in u = (g - N x, T x - o).
+        # The signs are those of u = (g - N x, T x - o).
         rows = np.concatenate([-normal[:, None], tangent.reshape(m, width, -1)], axis=1)
         self._rows = (rows / self._length[:, None, None]).reshape(m * (1 + width), -1)
         limit = np.column_stack([problem.gap, -origin]) / self._length[:, None]
@@ -146,7 +146,7 @@ class _Program:
             found = clarabel.DefaultSolver(P, -self._load, A, right, cones, settings).solve()
         except (KeyboardInterrupt, SystemExit, MemoryError):
             raise
-        except BaseException as error:  # Rust's panics are no Exception; nothing but the backend runs here
+        except BaseException as error:  # panics of Rust are not derived from Exception
             raise BackendFailed(f"associated: clarabel: {type(error).__name__}: {error}") from error
         x, z = np.array(found.x), np.array(found.z)
         if not (np.all(np.isfinite(x)) and np.all(np.isfinite(z))):

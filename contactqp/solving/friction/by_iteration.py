@@ -1,11 +1,12 @@
-"""Coulomb friction on bodies that are iterated on, in one process and over ranks: Tresca's fixed point and Newton.
+"""Solve Coulomb friction on bodies that are not factorised, in one process and on ranks, by Tresca's fixed point and
+Newton.
 
-A step of the fixed point (Laursen 2002, section 5.2) prescribes which contacts stick, and the friction of the others:
-prescribed friction is a load, tangents that stick are ties, and what remains is a contact problem without friction
+A step of the fixed point (Laursen 2002, section 5.2) prescribes which contacts stick, and the friction of the others.
+Prescribed friction is a load and sticking tangents are ties, so that a contact problem without friction remains
 (`contactqp.solving.methods.inexact_active_set`). Its forces give the next bounds mu l_N, relaxed by Aitken's factor,
-and the next states. Bounds need not settle to the last digit: before the first step and after each, Newton's method on
-the combination of states (Alart and Curnier 1991), whose systems contain Coulomb's law, tries to end the iteration. Its
-first combinations are solved loosely, the last to the end.
+and the next states. The bounds need not converge to the last digit: before the first step and after each, Newton's
+method on the combination of states (Alart and Curnier 1991) tries to finish. Its first combinations are solved with a
+loose tolerance, the last one accurately.
 """
 
 from __future__ import annotations
@@ -32,28 +33,28 @@ from contactqp.solving.friction.local_form import RELAXATION, aitken
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration, solve_by_iteration
 
-# Whether every figure of the certificate is at most this part of the tolerance, as it asks of an answer.
+# A function that returns whether every figure of the certificate is at most this part of the tolerance.
 Certifiable = Callable[[Answer, float], bool]
-# Combinations tried from one start.
+# The most combinations tried from one start.
 MOST = 25
-# The part to which GMRES reduces what is unbalanced of a combination that may not be the last, and of the first that
-# comes again, along whose slips directions still turn in space.
+# The relative residual of GMRES for a combination that may not be the last, and for the first that recurs, whose slip
+# directions may still turn in space.
 LOOSE, SLIDING = 1e-2, 1e-3
-# Where an answer is solved to the end and its figures are not small, the next leaves this part of what it left: slips
-# that are small beside the displacements have a direction later than these have their digits.
+# If the figures of an accurately solved answer are not small, the next tolerance is smaller by this factor, as
+# directions of small slips converge later than displacements.
 TIGHTER = 0.1
 # The part of the tolerance that figures of an answer may reach.
 FIGURE = 0.7
-# An error in energy, squared, of so many times what GMRES could not reduce is rounding too.
+# A squared energy error up to this multiple of the residual where GMRES stagnates counts as rounding.
 STUCK = 4.0
 
 
 class FrictionNewton:
     """Newton's method on Coulomb's law, from one combination of open, stick and slip to the next.
 
-    Early combinations are solved loosely. One that comes again, in space after the directions of its slips have turned
-    once more, is solved until the answer, its friction put onto Coulomb's law, is in equilibrium; it is the answer if
-    every figure of the certificate is small then. Everything is collective over ranks.
+    Early combinations are solved with a loose tolerance. One that recurs, in space with slip directions updated once
+    more, is solved until the answer, with its friction projected onto Coulomb's law, is in equilibrium; it is accepted
+    if every figure of the certificate is then small. All calls are collective over ranks.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ class FrictionNewton:
         self._tolerance, self._energy, self._certifiable = tolerance, energy, certifiable
 
     def run(self, start: FrictionalAnswer) -> FrictionalAnswer | None:
-        """Return the answer from a start, or None where the combinations lead nowhere."""
+        """Return the answer from a start, None where the combinations do not converge."""
         here, before, part = start, None, 1.0
         states: Combination | None = None
         seen: dict[object, int] = {}
@@ -112,15 +113,15 @@ class FrictionNewton:
         return self._certifiable(answer, FIGURE * self._tolerance)
 
 
-# Bounds that change by less than this part of the largest may have come to the answer.
+# Bounds have converged if they change by less than this part of the largest.
 SETTLED = 5e-10
-# Enough steps for contractions up to 0.9, as in one process; a slower iteration does not converge.
+# The most steps, enough for contraction factors up to 0.9, as in one process.
 MAX_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """A contact problem whose ties are those of the problem and the tangents that stick."""
+    """The contact problem of one step, with the sticking tangents as further ties."""
 
     load: Vector
     gap: Vector
@@ -135,9 +136,9 @@ def solve_friction_by_iteration(
     energy: float,
     certifiable: Certifiable,
 ) -> Candidate:
-    """Return the answer of Coulomb's law as far as the steps can tell; the certificate judges it. Collective.
+    """Return an answer with Coulomb friction, which the certificate is to judge. Collective.
 
-    Where they end without one, at a limit of time too, the last answer of a step is returned and not claimed.
+    If the iteration does not converge or reaches a time limit, the last answer is returned and not claimed.
 
     Raises NotConverged: the steps ended before one of them had an answer; NoEquilibrium: the bodies are held neither
     without friction nor with all contacts stuck.
@@ -170,7 +171,9 @@ def solve_friction_by_iteration(
 
 
 class _FixedPoint:
-    """Tresca's fixed point; `changes` are those of the bounds in each step, relative, and `last` its last answer."""
+    """Tresca's fixed point; `changes` are the relative changes of the bounds in each step, `last` is the last
+    answer.
+    """
 
     def __init__(
         self,
@@ -233,7 +236,7 @@ class _FixedPoint:
     def _solved(self, states: Combination, prescribed: Array, roughly: bool = False) -> FrictionalAnswer:
         """Return the answer where some contacts stick and the others have the prescribed friction (m, d-1).
 
-        Roughly is with the closed contacts that signs agree with, and forces of a few digits.
+        With `roughly` the set of closed contacts is determined, and forces to a few digits.
         """
         rows, m = self._rows, self._rows.m
         k = rows.plain - m
@@ -247,7 +250,7 @@ class _FixedPoint:
         if candidate is None:
             candidate = solve_by_iteration(limits, iteration, settings, self._energy)
         self._iteration.krylov_iterations += iteration.krylov_iterations - before
-        # What the first answers have not settled, later steps do.
+        # Early answers may be inaccurate, as later steps refine them.
         if self.changes and not candidate.claimed:
             raise self._not_converged(candidate.status)
         found = candidate.answer

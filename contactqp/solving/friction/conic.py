@@ -1,12 +1,13 @@
-"""Quadratic programs over second-order cones, by Clarabel, SCS, or whatever cvxpy has.
+"""Solve quadratic programs over second-order cones by Clarabel, SCS or any solver of cvxpy.
 
     min 1/2 x'P x + c'x    over    A x + y = b,  y in zeros x nonnegatives x second-order cones
 
 in that order, the cones of one size.
 
-Whether Coulomb's law can hold at all is told by the balance of forces in their cones, and by the test of Acary and
-others (2011): if some velocity u = W y + V l + q lies inside all dual cones K* = {u_N >= mu |u_T|}, the map from shifts
-to |u_T| has a fixed point, and there is a solution for any coefficient of friction. It is sufficient, not necessary.
+The existence of an answer with Coulomb friction is examined by the balance of forces in their cones, and by the test of
+Acary and others (2011): if some velocity u = W y + V l + q lies inside all dual cones K* = {u_N >= mu |u_T|}, the map
+from shifts to |u_T| has a fixed point, and there is a solution for any coefficient of friction. It is sufficient, not
+necessary.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from contactqp.solving.methods import Settings
 from contactqp.solving.methods.backends import collected_words
 
 SOLVERS = ("clarabel", "scs", "cvxpy")
-# Interior points know forces to the square root of their gap: of the root this part of the tolerance is asked for, down
-# to rounding.
+# Forces of interior-point methods have errors of the square root of the duality gap, so that the square of this part of
+# the tolerance is required, down to rounding.
 TIGHTER, TIGHTEST = 0.1, 1e-12
 
 
@@ -82,9 +83,9 @@ def _clarabel(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector
         solution = clarabel.DefaultSolver(P, program.c, A, program.b, cones, options).solve()
     except (KeyboardInterrupt, SystemExit, MemoryError):
         raise
-    except BaseException as error:  # Rust's panics are no Exception
+    except BaseException as error:  # panics of Rust are not derived from Exception
         raise BackendFailed(f"clarabel: {type(error).__name__}: {error}") from error
-    # What it stops at is looked at by its users, whatever it calls it.
+    # The caller judges the answer whatever its status.
     return np.array(solution.x), np.array(solution.z)
 
 
@@ -148,8 +149,8 @@ def refuse_unbalanced(form: LocalForm) -> None:
     """Raise NoEquilibrium if the load of a local problem drives free joints in a way that no force of a cone resists.
 
     The proof is a motion g of joints without compliance with V g in K* at every contact and s'g > 0: all forces r of
-    the cones have r'V g >= 0, but balance asks for r'V g = -s'g. It is looked for within polyhedra in K* and checked by
-    sums in extended precision.
+    the cones satisfy r'V g >= 0, but balance requires r'V g = -s'g. It is searched within polyhedra in K* and checked
+    in extended precision.
     """
     hard = np.flatnonzero(form.joint_signs < 0)
     V, s = form.V[:, hard], form.s[hard]
@@ -175,18 +176,18 @@ def _resisting(V: Array, mu: Vector) -> Array:
     return np.vstack(parts)
 
 
-# Least eigenvalue, relative to the largest, of what is regular; denominators of a proof's weights; contacts whose dense
-# eigenvalues cost little beside a solution.
+# The smallest relative eigenvalue of a regular matrix; the largest denominators of a proof's weights; the number of
+# contacts up to which dense eigenvalues are cheap.
 REGULAR, LARGEST_DENOMINATOR, MOST_WEIGHTED = 1e-10, 10_000, 300
 
 
 def refuse_penetrated(form: LocalForm) -> None:
-    """Raise NoEquilibrium if no forces whatever open all contacts of a local problem.
+    """Raise NoEquilibrium if no forces at all keep the contacts of a local problem from penetrating.
 
     The proof are weights y >= 0 of normal velocities that no force changes, W_N'y = 0 and V_N'y = 0, with y'q_N < 0:
     then y'u_N = y'q_N < 0, where no u_N may be negative. For forces of the cones alone c = W_N'y with c'r <= 0 would
     do, but then y'W_NN y = y'c_N <= 0, and c is zero where W is semidefinite. A linear program proposes the weights,
-    rational sums of the data decide. More than 300 contacts are left to the algorithms.
+    which are verified in rational numbers. Problems with more than 300 contacts are not examined.
     """
     d = form.d
     if form.m > MOST_WEIGHTED or not np.any(form.q[::d] < 0):
@@ -209,7 +210,7 @@ def refuse_penetrated(form: LocalForm) -> None:
 
 
 def _proven(problem: LocalProblem, weights: list[Fraction]) -> bool:
-    """Return whether these weights of normal velocities (m,) are a proof in rational numbers."""
+    """Return whether these weights of normal velocities (m,) prove infeasibility in rational numbers."""
     d, driven = problem.dimension, Fraction(0)
     rows = [sp.csr_array(some) for some in (problem.delassus, problem.bilateral)]
     sums = [[Fraction(0)] * some.shape[1] for some in rows]

@@ -1,4 +1,4 @@
-"""The local form of a contact problem, what the contacts feel of each other through the bodies, and its solution.
+"""Form the local problem of a contact problem, with the compliance of the bodies between the contacts, and solve it.
 
 On the retained unknowns, scaled (`rows`), with H = [-N; T]' contact by contact and w = (g, -o), ties taken care of by
 x = x0 + B y, A x0 = b, A B = 0, and rigid motions Z of what the ties leave,
@@ -6,8 +6,8 @@ x = x0 + B y, A x0 = b, A B = 0, and rigid motions Z of what the ties leave,
     u = H'x + w = W r + q + V a,    W = H'B S_B^+ B'H,    V = H'B Z,    V'r + Z'B'(f - S x0) = 0,
 
 where r_N = l_N, r_T = -l_T, and a are coordinates of the rigid motions (`ContactOperator`). Contacts that cannot slide
-have no tangential row, and any friction within its bound would do: it comes out as none. The combination of states that
-an algorithm finds in this form is refined on the problem itself.
+have no tangential row, and their friction, which is arbitrary within its bound, is zero. The combination of states that
+an algorithm finds is refined on the problem itself.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from contactqp.solving.friction.enumeration import MOST_CONTACTS
 from contactqp.solving.friction.local_form import NEARER, Deadline, Iterate, LocalForm
 from contactqp.solving.methods import Method, Settings
 
-# Tie rows of unit length that leave more than this of their values open conflict.
+# Ties with unit rows conflict if the residual exceeds this part of their values.
 CONFLICT = 1e-9
 # Rows with fewer entries than this part of all are multiplied as sparse ones.
 FEW_FELT = 0.1
@@ -77,7 +77,7 @@ class ContactOperator:
         self.compliance = compliance_of(S, motions)
         self.motions = _motions_of_rows(HB, motions)
         resisted = _resisted(HB, motions)
-        # Where little is tied or moves rigidly a row feels few unknowns.
+        # With few ties and rigid motions the rows are sparse.
         few = sp.csr_matrix(resisted) if np.count_nonzero(resisted) < FEW_FELT * resisted.size else resisted
         W = np.asarray(few @ (few @ self.compliance).T)
         self.delassus, self.rigid, self._HB = (W + W.T) / 2, HB @ self.motions, HB
@@ -85,7 +85,7 @@ class ContactOperator:
         self._local: LocalProblem | None = None
 
     def local(self, problem: ContactProblem, coefficient: Vector, offset: Vector) -> LocalProblem:
-        """Return the local problem of friction coefficients (m,) and an offset (d m,); W is read and judged once."""
+        """Return the local problem of friction coefficients (m,) and an offset (d m,); W is checked once."""
         joints, known = self.motions.shape[1] > 0, self._local
         drive = self.drive(problem) if joints else np.zeros(0)
         if known is None or known.contact_names != problem.contact_names or np.any(known.friction != coefficient):
@@ -135,9 +135,7 @@ def contact_operator(problem: ContactProblem, condensation: Condensation, rows: 
 
 
 def _resisted(rows: Array, motions: Array) -> Array:
-    """Return rows without their rigid part, exactly zero where rounding is all that is left, so that they have no
-    compliance.
-    """
+    """Return rows without their rigid part, exactly zero (without compliance) where only rounding remains."""
     left = rows - (rows @ motions) @ motions.T
     size = np.linalg.norm(rows, axis=1)
     return np.where((np.linalg.norm(left, axis=1) > UNRESISTED * size)[:, None], left, 0.0)
@@ -146,7 +144,7 @@ def _resisted(rows: Array, motions: Array) -> Array:
 def _motions_of_rows(rows: Array, motions: Array) -> Array:
     """Return an orthonormal basis (y, z) of the motions that rows resist.
 
-    The others stay at rest: of what rounding leaves of them in a row, scaled to one, an algorithm would make joints.
+    The others are excluded, since their rounding errors, scaled to one, would be taken for joints.
     """
     if not motions.shape[1]:
         return motions
@@ -191,7 +189,8 @@ class ContactForm:
         self._a_correction = OVERHEAD + float(len(rows.S) + len(rows.all_rows)) ** 3
         entries = float(problem.stiffness_rows.nnz)
         self._a_correction += PER_ENTRY * entries
-        # What combinations near an iterate may take still: as much as the stiffness' factors, if that is more.
+        # The remaining budget of operations for combinations near an iterate, at least that of factorising the
+        # stiffness.
         self.left = max(NEARBY_OPERATIONS, grid_operations(problem.dimension, entries / problem.dimension))
         gap, origin, value = rows.lengths(problem)
         self._start = operator.start(value)
@@ -200,7 +199,7 @@ class ContactForm:
         self.local = operator.local(problem, rows.coefficient, operator.free(self._load, self._start) + w)
 
     def answer_nearby(self, status: Status, start: Answer) -> Answer:
-        """Return `answer_in`, and take what it costs from what is left."""
+        """Return `answer_in`, and subtract its cost from the remaining budget."""
         before = self._rows.corrections
         answer = self.answer_in(status, start)
         self.left -= self._a_correction * (self._rows.corrections - before)
@@ -247,16 +246,17 @@ class ContactForm:
         )
 
 
-# Iterates whose natural map is off by less than this part of the forces may have the right combination.
+# Iterates with a natural map below this part of the forces may have the right combination.
 WORTH_REFINING = 1e-5
-# Forces that balance the load with less than this part of what would deform the bodies by the typical gap are small:
-# the bodies move as if they were rigid.
+# If forces that balance the load are below this part of those that deform the bodies by the typical gap, the bodies
+# move as if rigid.
 SMALL_FORCES = 0.1
-# Contacts in space of which all combinations of states, 3^5, take less than the long attempts of algorithms; in the
-# plane they are as many as are listed.
+# The number of contacts in space up to which trying all 3^m combinations is cheaper than long attempts of algorithms;
+# in the plane it is that of the enumeration.
 MOST_TRIED = 5
-# Combinations near that of the best iterate may take so many operations, about a second: counted, not timed, so that
-# the verdict is the same anywhere. A correction takes OVERHEAD, the number of equations cubed, and PER_ENTRY of K.
+# The budget of operations for combinations near the best iterate, about a second. Operations are counted, so that the
+# verdict does not depend on the machine. A correction costs OVERHEAD, the number of equations cubed, and PER_ENTRY for
+# entries of K.
 NEARBY_OPERATIONS, OVERHEAD, PER_ENTRY = 1e9, 7e5, 60.0
 
 
@@ -286,7 +286,7 @@ def solve_on_contacts(
     Raises
     ------
     NoEquilibrium
-        The constraints conflict, which is asked where an answer does not come at once.
+        The constraints conflict, which is examined if no answer is found at first.
     NotConverged
         No iterate's combination of open, stick and slip is an equilibrium.
     BackendFailed, BackendMissing, Unsupported, InvalidProblem
@@ -309,7 +309,7 @@ def solve_on_contacts(
 
 
 def _force_sizes(balanced: Array | None) -> tuple[float, ...]:
-    """Return the sizes that forces of the local form get in turn: their own first, where bodies move as if rigid."""
+    """Return the scales of forces to try, with the separate scale of forces first if the bodies move as if rigid."""
     size = 0.0 if balanced is None else float(np.max(abs(balanced), initial=0.0))
     return (size, 1.0) if 0 < size < SMALL_FORCES else (1.0,)
 
@@ -325,7 +325,7 @@ def _on_form(
     algorithm: str | None,
 ) -> LocalAnswer:
     found: list[Answer] = []
-    tried: dict[bytes, float] = {}  # combinations, and the error of the iterate that each was last refined from
+    tried: dict[bytes, float] = {}  # combinations, with the error of the iterate from which each was last refined
 
     def accepted(iterate: Iterate) -> bool:
         if not iterate.error <= WORTH_REFINING * max(1.0, float(np.max(abs(iterate.force), initial=0.0))):
@@ -352,7 +352,7 @@ def _on_form(
         found, nearby = _near(problem, contacts, form, iterate, settings.max_iter, deadline)
         name = f"combinations near {name}"
     if not found and holds(problem, plain := contacts.plain(form, iterate), settings.tolerance):
-        found, name = [plain], outcome.name  # contacts that depend on each other may have no system that refines it
+        found, name = [plain], outcome.name  # with redundant contacts the refinement may fail
     if not found:
         raise NotConverged(
             f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
@@ -370,12 +370,12 @@ def _near(
     most: int | None,
     deadline: Deadline,
 ) -> tuple[list[Answer], str]:
-    """The answer of the combination that holds and differs from an iterate's in the fewest contacts, if one is found,
-    and how many were tried: at most so many, or as many as a limit of time or the operations that are left allow.
+    """Return the answer of a combination that differs from the iterate's in the fewest contacts, and the number tried.
 
-    Each is refined from the iterate, whose displacement gives the first directions of slip, then from no displacement
-    and no forces, which in space may lead elsewhere. Bodies that move far under forces that hardly deform them need
-    this: no force of an iterate tells which of the contacts that move little stick.
+    At most `most` combinations are tried, within the time limit and the budget of operations. Each is refined from the
+    iterate, whose displacement gives the first slip directions, then from zero, which in space may lead to another
+    answer. This is needed for bodies that move as if rigid, where the forces of an iterate do not tell which contacts
+    stick.
     """
     plain, status = contacts.plain(form, iterate), contacts.status(form, iterate)
     sliding = (SLIP_ON,) if form.d == 3 else (SLIP_ON, SLIP_BACK)
@@ -398,7 +398,7 @@ def _near(
 
 
 def _start(form: LocalForm, contacts: ContactForm, settings: Settings, balanced: Array | None) -> Iterate:
-    """Return where the iteration starts: the forces of a warm start, or those that hold the bodies, or none."""
+    """Return the start of the iteration: the forces of a warm start, else those that balance the bodies, else zero."""
     warm = settings.warm_start
     if warm is not None and all_finite(warm.answer):
         balanced = form.scaled(contacts.scaled_force(warm.answer.normal_force, warm.answer.friction_force))

@@ -1,4 +1,4 @@
-"""The convex problems that Coulomb's law is solved by, in the forces of a local problem.
+"""Solve Coulomb's law as a fixed point of convex problems in the forces of a local problem.
 
     min 1/2 r'W r + 1/2 l'R l + r'V l + (q + s)'r    over    r in a set, and V'r = -s of joints without compliance
 
@@ -10,8 +10,8 @@ symmetric part of W only.
 
 Coulomb's law is a fixed point of such problems. Acary, Cadoux, Lemarechal and Malick (2011): r = argmin over the cones,
 normal velocities shifted by s = mu |u_T| of the step before. The first step, s = 0, is the associated relaxation, and
-each subproblem has a solution where `existence_margin` says so. Tresca (Haslinger): r = argmin over discs of radius mu
-r_N of the step before.
+each subproblem has a solution where `existence_margin` is positive. Tresca (Haslinger): r = argmin over discs of radius
+mu r_N of the step before.
 """
 
 from __future__ import annotations
@@ -86,14 +86,12 @@ class ConvexSteps:
 
     @property
     def asymmetry(self) -> float:
-        """Return max |W - W'| / 2 max |W|, contacts scaled: what a minimisation leaves out of W; 0 where that is
-        rounding.
-        """
+        """Return max |W - W'| / 2 max |W|, contacts scaled, the part of W ignored by a minimisation, 0 for rounding."""
         return self._form.problem.scaled_asymmetry / 2 if self._form.asymmetric else 0.0
 
     @property
     def polygons(self) -> str:
-        """Return in words the polygons that replace the cones."""
+        """Return a text on the polygons that replace the cones."""
         if not self.cone_error:
             return ""
         return f" on polygons ({self.facets} sides, {self.polygon}, friction bound up to {self.cone_error:.2g} off)"
@@ -241,6 +239,6 @@ def _shift(form: LocalForm, iterate: Iterate) -> Vector:
 
 
 def _in_cone(r: Array, mu: Vector) -> Array:
-    """Return forces (m, d) without tension, their friction cut off at its own bound."""
+    """Return forces (m, d) without tension, with friction reduced to its bound."""
     normal = np.maximum(r[:, 0], 0.0)
     return np.column_stack([normal, onto_discs(r[:, 1:], mu * normal)])

@@ -1,21 +1,23 @@
 """Every equilibrium of a small problem with Coulomb friction in the plane, by all combinations of contact states.
 
-In y = (l, a), contact forces l_N and l_T, then forces of ties and coordinates of rigid motions, all scaled, with
-R x = base + slope y the normal and tangential lengths of the contacts and H y = h what always holds, a combination is
+In y = (l, a), contact forces l_N and l_T, then forces of ties and coordinates of rigid motions, all scaled, with R x =
+base + slope y the normal and tangential lengths of the contacts and H y = h the conditions of ties and balance, a
+combination is
 
     open: l_N = l_T = 0    closed: N x = g    stick: T x = o    slip: l_T = s mu l_N,
 
 and it is an answer where its signs hold: g - N x >= 0 where open, l_N >= 0 where closed, |l_T| <= mu l_N where it
-sticks, s (T x - o) >= 0 where it slips. Where a system leaves forces or motions free, a linear program looks for signs
-that hold. Every sign is measured by the lengths of its own contact, which a contact that is far or has slipped far does
-not share with the others. Whether a small singular value is one or rounding cannot be decided here: both are tried.
+sticks, s (T x - o) >= 0 where it slips. Where a system does not determine forces or motions, a linear program searches
+a solution with the right signs. Every sign is measured relative to the lengths of its own contact, which may differ
+from those of the others by orders of magnitude. Small singular values may be rounding errors of zero, so both cases are
+tried.
 
 Of a problem with the condensed compliance S^+, rigid motions Z and all rows R = [N; T; A],
 
     R x = R S^+ f - W l + R Z a,   W = R S^+ R',   Z'R'l = Z'f,   A x = b,
 
-and what a combination gives is refined on the problem in twice double precision, which also decides whether it is an
-equilibrium. Above a critical coefficient of friction there may be none or several (Klarbring 1990).
+and each solution is refined on the problem in twice double precision, which also decides whether it is an equilibrium.
+Above a critical coefficient of friction there may be none or several (Klarbring 1990).
 """
 
 from __future__ import annotations
@@ -42,18 +44,19 @@ from contactqp.model.solution import Answer
 MOST_CONTACTS = 8
 # Systems solved at once.
 BATCH = 4096
-# Sweeps of equilibration; rows and columns shorter than this are rounding, and stay what they are.
+# Sweeps of equilibration; rows and columns shorter than this are rounding errors and are not scaled.
 SWEEPS, SHORTEST = 3, 1e-10
-# Singular values of an equilibrated system, relative to the largest: above the first certainly none that is zero,
-# beneath the second certainly one. Compliances of soft bodies carry the rounding of stiff ones, times their condition.
+# Relative singular values of an equilibrated system that are certainly nonzero, above the first, and certainly zero,
+# below the second. Between them rounding of soft bodies' compliances does not allow a decision.
 REGULAR, SINGULAR = 1e-8, 1e-15
-# Signs that fail by this part of the contact's own lengths or force may be rounding; refinement tells.
+# Signs that fail by less than this part of the contact's own lengths or force are decided by refinement.
 DOUBTFUL = 1e-8
 # Systems of at least this reciprocal condition are solved by their inverse, up to the second part of what is largest.
 WELL_CONDITIONED, OF_INVERSES = 1e-6, 1e-8
-# Signs that a combination of them proves to fail by the first part of their sizes fail; the proof holds to the second.
+# Sign conditions are infeasible if Farkas' weights prove a violation above the first part of their sizes, with a
+# residual below the second.
 PROVEN, OF_PROOFS = 1e-6, 1e-12
-# Of the sizes that a sum is made of, what rounding may leave of it; of compliances, which are beneath it.
+# Rounding errors of a sum relative to the sizes of its terms, and those of compliances.
 ROUNDING_OF_SIZES = 1e-12
 
 
@@ -67,17 +70,19 @@ class Combinations:
     target: Vector  # (2m,) g and o
     fixed: Array  # (q - 2m, q) H
     fixed_right: Vector  # (q - 2m,) h
-    nothing: float  # a length that is rounding
+    nothing: float  # length below which values are rounding errors
 
     @cached_property
     def _lengths(self) -> Vector:
-        """(2m,) the sizes of the lengths of every row; of a row without any, what the others have."""
+        """Return the sizes of the lengths of every row (2m,), the median of the others for a row without any."""
         size = abs(self.base) + abs(self.target) + self.nothing / DOUBTFUL
         return _filled(size, float(np.max(abs(self.fixed_right), initial=0.0)))
 
     @cached_property
     def _forces(self) -> Vector:
-        """(2m,) the forces that these lengths ask for; where nothing is compliant, what balances the bodies."""
+        """Return the forces that cause these lengths (2m,), or those that balance the bodies where nothing is
+        compliant.
+        """
         rows = np.arange(len(self.base))
         compliance = abs(self.slope[rows, rows])
         felt = compliance > ROUNDING_OF_SIZES * np.max(compliance, initial=0.0)
@@ -85,7 +90,7 @@ class Combinations:
         return _filled(np.maximum(asked, np.max(abs(self.fixed_right), initial=0.0)), 1.0)
 
     def plausible(self) -> Iterator[tuple[Status, Vector]]:
-        """Yield the combinations (m,) and their y (q,) whose signs hold, or fail by what may be rounding."""
+        """Yield the combinations (m,) and their y (q,) whose signs hold, or fail by rounding at most."""
         combinations = all_combinations(self.coefficient)
         while batch := list(itertools.islice(combinations, BATCH)):
             yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(self.coefficient)))
@@ -108,7 +113,7 @@ class Combinations:
             missing = abs(np.einsum("bij,bj->bi", matrix, y) - right)
             rounding = ROUNDING_OF_SIZES * np.sum(abs(matrix), axis=2) * np.max(abs(y), axis=1, initial=0.0)[:, None]
             solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
-            bound = (rank == values.shape[1]) & ~self._all_hold(status, y)  # nothing is free that would mend its signs
+            bound = (rank == values.shape[1]) & ~self._all_hold(status, y)  # no free component can repair its signs
             for b in np.flatnonzero(solved & (rank <= most) & ~bound):
                 free = rotation[b, rank[b] :]
                 if (found := self._with_signs(status[b], y[b], free, column[b])) is not None:
@@ -117,7 +122,7 @@ class Combinations:
     def _plainly_fail(self, status: Status, matrix: Array, right: Vector, row: Array, column: Array) -> Mask:
         """Return which combinations (b, m) have regular systems whose one solution misses signs by more than rounding.
 
-        Most do, and an inverse tells at a tenth of the price of singular values, which the others are left to.
+        This excludes most combinations by an inverse, at a tenth of the cost of singular values.
 
         Parameters
         ----------
@@ -135,9 +140,9 @@ class Combinations:
         return np.asarray(regular & ~self._all_hold(status, column * z, doubt))
 
     def _all_hold(self, status: Status, y: Array, doubt: Array | None = None) -> Mask:
-        """Return which combinations (b, m) have solutions (b, q) with all signs, as `_signs` states them of one.
+        """Return which combinations (b, m) have solutions (b, q) that satisfy all signs of `_signs`.
 
-        Where y is known up to a doubt (b, q), signs that may hold do.
+        With an uncertainty `doubt` (b, q) of y, signs that may hold count as satisfied.
         """
         m, rounding = status.shape[1], ROUNDING_OF_SIZES * np.max(abs(y), axis=1, initial=0.0)[:, None]
         off = self.base - self.target + y @ self.slope.T
@@ -162,7 +167,7 @@ class Combinations:
         return y if _hold(room, change, size, y) else None
 
     def _assembled(self, status: Status) -> tuple[Array, Array]:
-        """Return the systems (b, q, q), (b, q): a row for each normal and friction force, then what always holds."""
+        """Return the systems (b, q, q), (b, q): a row for each normal and friction force, then the rows of H."""
         (count, m), q = status.shape, self.slope.shape[1]
         unit = np.eye(q)
         closed, stuck = status != OPEN, status == STICK
@@ -202,9 +207,10 @@ def _hold(room: Vector, change: Array, size: Vector, y: Vector) -> bool:
 
 
 def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Array, scale: Vector) -> Vector:
-    """Return the solution start + scale free'c whose signs hold best, no room counting beyond its size.
+    """Return the solution start + scale free'c that maximises the least margin of the signs, each limited to its size.
 
-    What the rounding of orthonormal directions (c, q) makes of room is none: to use it, bodies would move without end.
+    Coefficients that are rounding errors of the orthonormal directions (c, q) are set to zero, as bodies would
+    otherwise move arbitrarily far.
     """
     from scipy.optimize import linprog
 
@@ -230,7 +236,8 @@ def _within(room: Vector, change: Array, size: Vector, start: Vector, free: Arra
 def _proven_to_fail(rows: Array, rest: Vector) -> bool:
     """Return whether weights w >= 0 prove that rows c <= rest fails for every c: rows'w = 0 and rest'w < 0 (Farkas).
 
-    Weights of sum one show how far the best c fails; all but a few programs end here, at a tenth of their price.
+    Weights of sum one bound the violation for the best c. Most linear programs are avoided by this test, at a tenth of
+    their cost.
     """
     from scipy.optimize import nnls
 
@@ -259,8 +266,7 @@ def refuse_many(contacts: int) -> str | None:
 def _equilibrated(matrix: Array) -> tuple[Array, Array]:
     """Return factors of rows and columns (b, q) that bring their largest entries near one (Ruiz 2001).
 
-    Without them the compliance of a soft body, a thousand times that of a stiff one, makes what is left of the stiff
-    one's system look singular.
+    Otherwise the compliance of a soft body makes the system of a much stiffer one appear singular.
     """
     row, column = np.ones(matrix.shape[:2]), np.ones(matrix.shape[:2])
     for _ in range(SWEEPS):
@@ -271,7 +277,7 @@ def _equilibrated(matrix: Array) -> tuple[Array, Array]:
     return row, column
 
 
-# Displacements that move the contacts alike, to this part of the lengths that meet there, are one.
+# Displacements are equal if the contacts' displacements agree to this part of the lengths that meet there.
 SAME = 1e-8
 
 
@@ -286,7 +292,7 @@ class Equilibrium:
 def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple[Equilibrium, ...]:
     """Return every equilibrium that differs from the others in its displacement; an empty tuple if there is none.
 
-    Where contacts are redundant, many forces belong to one displacement: one of them is given.
+    With redundant contacts, one of the many possible distributions of forces is returned.
 
     Raises Unsupported: there are more than eight contacts.
     """
@@ -302,7 +308,7 @@ def all_equilibria(problem: ContactProblem, condensation: Condensation) -> tuple
 
 
 def _least_ties(rows: FrictionalRows, start: Answer) -> Answer:
-    """Return the start with the least forces of dependent ties, since refinement keeps how these share theirs."""
+    """Return the start with the least forces of dependent ties, as refinement does not change their distribution."""
     if len(rows.tie) < 2 or not np.all(np.isfinite(start.tie_force)):
         return start
     pulled = rows.tie.T @ (start.tie_force * rows.tie_length)
@@ -322,7 +328,7 @@ def _same(problem: ContactProblem, one: Answer, other: Answer) -> bool:
 
 
 class _Systems:
-    """The combinations of one problem, and the displacement that belongs to their forces and motions."""
+    """The systems of the combinations of one problem, and the displacement for given forces and motions."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, rows: FrictionalRows) -> None:
         self._condensation, self._rows = condensation, rows
@@ -346,7 +352,7 @@ class _Systems:
         )
 
     def plausible(self) -> Iterator[tuple[Status, Answer]]:
-        """Yield the combinations whose signs hold, or fail by what may be rounding."""
+        """Yield the combinations whose signs hold, or fail by rounding at most."""
         for status, y in self._combinations.plausible():
             yield status, self._answer(y)
 

@@ -1,16 +1,17 @@
-"""Every equilibrium of a tiny problem with Coulomb friction in the plane, in rational numbers: nothing is rounded.
+"""Find every equilibrium of a tiny problem with Coulomb friction in the plane in rational numbers, without rounding.
 
-The bodies and their ties are solved for once,
+The bodies and their ties are eliminated once,
 
     [ K  A' ] [ u  ]   [ f - E_N'l_N - E_T'l_T ]
     [ A  0  ] [ nu ] = [ b                     ]      u = u_0 + U y,   H y = h,   y = (l_N, l_T, a),
 
-a being motions that neither stiffness nor ties resist and H y = h what it takes to balance the load along them. Each
-combination of open, stick and slip either way is then a small linear system and a list of signs, as in
-`contactqp.solving.friction.enumeration`; where the system leaves something free, exact linear programs say whether the
-signs can hold, and whether what is free moves anything.
+with motions a that neither stiffness nor ties resist, and H y = h the balance of the load along them. Each combination
+of open, stick and slip either way is then a small linear system and a list of signs, as in
+`contactqp.solving.friction.enumeration`; where the system is underdetermined, exact linear programs decide whether the
+signs can hold, and whether the free part changes the displacement.
 
-A local problem, V'r + R l + s = 0 and u = W r + V l + q, is decided alike: whether any combination holds.
+A local problem, V'r + R l + s = 0 and u = W r + V l + q, is treated alike, but only the existence of an answer is
+decided.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, AnswerOf
 from contactqp.solving.friction.enumeration import refuse_many
 
-# What symmetrising a printed stiffness and rounding may differ from an exact value, of the largest entry.
+# The largest difference between exact and given values relative to the largest entry, by rounding and symmetrising.
 ROUNDED = 1e-9
 # Fractions that a message writes out; Python refuses to write thousands of digits.
 LARGEST_WRITTEN = 10**12
@@ -60,7 +61,7 @@ class ExactData:
         for i, row in enumerate(self.stiffness):
             if any(row[j] != self.stiffness[j][i] for j in range(i)):
                 raise InvalidProblem(f"stiffness: expected exactly symmetric, row {i} is not")
-        # A contact that cannot slide has no friction to speak of.
+        # The friction of a contact that cannot slide has no effect.
         still = [not any(row) and not origin for row, origin in zip(self.tangent, self.slip_origin, strict=True)]
         self.friction = [Fraction(0) if idle else mu for idle, mu in zip(still, self.friction, strict=True)]
 
@@ -107,7 +108,7 @@ def _fraction(name: str, value: Any) -> Fraction:
 
 MOST_CONTACTS = 6  # 4^6 systems of some ten rows take tens of seconds in rational numbers
 MOST_UNKNOWNS = 60
-# Up to so many contacts all combinations are tried in rational numbers before absence is claimed: 4^4 small systems.
+# Up to this many contacts all 4^m combinations are tried in rational numbers before absence is claimed.
 MOST_PROVEN = 4
 NONE_IN_FLOATS = "enumeration: floats found no combination of open, stick and slip that is an equilibrium"
 NONE_AT_ALL = "enumeration: no combination of open, stick and slip is an equilibrium, proven in rational numbers"
@@ -124,8 +125,8 @@ class ExactEquilibrium(AnswerOf[NDArray[Any], NDArray[Any]], ReadOnly):
     gap: NDArray[Any]  # (m,)
     slip: NDArray[Any]  # (m, 1)
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
-    continuum: bool  # one of many displacements, arbitrarily near to each other, that are equilibria
-    unique_forces: bool  # no other contact forces belong to this displacement
+    continuum: bool  # whether it belongs to a continuum of equilibria
+    unique_forces: bool  # whether its contact forces are unique
 
     def __repr__(self) -> str:
         many = ", one of a continuum" if self.continuum else ""
@@ -158,7 +159,7 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
     Raises
     ------
     InvalidProblem
-        There is no friction, or an exact value is none of the problem's.
+        There is no friction, or an exact value does not belong to the problem.
     Unsupported
         Too many contacts or unknowns, as of a meshed body, or two tangential rows a contact: `contactqp.equilibria`
         lists, in doubles, the equilibria of at most eight contacts on any number of unknowns.
@@ -230,7 +231,7 @@ def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
 
 
 class _Bodies:
-    """Displacements and ties as what contact forces and free motions make of them."""
+    """Displacements and tie forces as affine functions of contact forces and free motions."""
 
     def __init__(self, data: ExactData) -> None:
         self.data, self.m = data, len(data.gap)
@@ -246,7 +247,7 @@ class _Bodies:
         rows, pivots = reduced(rows, n + k)
         free = [j for j in range(n) if j not in pivots]
         self.size = 2 * m + len(free)
-        # (u, nu) = start + slope y; of ties that are redundant the share is none.
+        # (u, nu) = start + slope y; redundant ties have zero forces.
         self._start, self._slope = [ZERO] * (n + k), [[ZERO] * self.size for _ in range(n + k)]
         for row, j in zip(rows, pivots, strict=False):
             self._start[j] = row[-1]
@@ -262,7 +263,7 @@ class _Bodies:
         self.slip = [self._length(row, limit) for row, limit in zip(data.tangent, data.slip_origin, strict=True)]
 
     def _unseen(self) -> list[Row]:
-        """Return the motions that stiffness, ties and contacts do not feel, along which the displacement is taken to be
+        """Return the motions that stiffness, ties and contacts do not resist, along which the displacement is set to
         zero.
         """
         data = self.data
@@ -293,7 +294,7 @@ class _Bodies:
         return members if members.there else None
 
     def _signs(self, status: tuple[int, ...]) -> list[Row]:
-        """Forms in y, their constant last, that are not negative."""
+        """Return the affine forms in y, constant last, that must not be negative."""
         m, mu, unit = self.m, self.data.friction, self.force_rows()
         return [
             sign
@@ -327,12 +328,12 @@ class _Columns:
         self.count, self._size = len(self._parts), bodies.size
 
     def of(self, row: Row) -> Row:
-        """Return a linear form in y, its constant last, as one in these unknowns."""
+        """Return an affine form in y, constant last, in terms of these unknowns."""
         return [*(sum((row[j] * share for j, share in part), ZERO) for part in self._parts), row[-1]]
 
 
 class _Members:
-    """All equilibria of one combination: a polyhedron in the c of y = point + free'c, most often one point."""
+    """All equilibria of one combination, a polyhedron in the c of y = point + free'c, usually a single point."""
 
     def __init__(self, bodies: _Bodies, columns: _Columns, found: Affine, signs: list[Row]) -> None:
         self._bodies, self._columns, self._found = bodies, columns, found
@@ -359,7 +360,7 @@ class _Members:
         return value + dot(slope, self._at)
 
     def _within(self, displacement: Row) -> tuple[Affine, Region] | None:
-        """Return the solutions that have one displacement, in coordinates of their own."""
+        """Return the solutions with a given displacement, in coordinates of their own."""
         equations = [[*slope, u - value] for (value, slope), u in zip(self._moved, displacement, strict=True)]
         found = solutions(equations, len(self._found.free))
         if found is None:
@@ -373,7 +374,9 @@ class _Members:
         return within is not None and not within[1].empty
 
     def forces(self, displacement: Row) -> list[Row]:
-        """Return the contact forces of one displacement: none, one, or more than one where there are many."""
+        """Return contact forces for one displacement: none, the unique ones, or two different ones if there are
+        many.
+        """
         within = self._within(displacement)
         if within is None or within[1].empty:
             return []
@@ -382,7 +385,7 @@ class _Members:
         ends = region.ends([slope for _, (_, slope) in images])
         points = [region.point(), *(ends or [])]
         vectors = [[value + more + dot(slope, c) for value, (more, slope) in images] for c in points]
-        # Without an end they are many, whatever one of them is.
+        # An unbounded set of forces contains many.
         return [vectors[0], []] if ends is None else [v for k, v in enumerate(vectors) if v not in vectors[:k]]
 
     def equilibrium(self, unique_forces: bool) -> ExactEquilibrium:
@@ -404,7 +407,9 @@ class _Members:
 
 
 def _signs_of_law(state: int, friction: Fraction, force: tuple[Row, Row], gap: Row, slip: Row) -> list[Row]:
-    """Return the forms, their constant last, that Coulomb's law keeps from being negative in one state of a contact."""
+    """Return the affine forms, constant last, that Coulomb's law requires to be nonnegative in one state of a
+    contact.
+    """
     push, drag = force
     if state == OPEN:
         return [gap]

@@ -1,4 +1,4 @@
-"""The linear systems of all combinations of open, stick and slip, in the forces; one factorisation for many.
+"""Solve the linear systems of combinations of open, stick and slip in the forces, with one factorisation for many.
 
 With R = [N; T; A] the scaled rows of contacts, tangents and ties, l = (l_N, l_T, nu) their forces and a the coordinates
 of rigid motions Z of the bodies,
@@ -7,8 +7,8 @@ of rigid motions Z of the bodies,
 
 so that a combination is one row a contact force (N x = g where closed, l_N = 0 where open), one a friction force
 (T x = o where it sticks, l_T = s mu l_N where it slips, l_T = 0 where open), and the rows of ties and balance. A
-contact that changes its state changes two rows: the factors of the combination before are kept, and the change of rows
-is solved for beside them (Sherman, Morrison and Woodbury).
+contact that changes its state changes two rows, which the factors of an earlier combination are corrected for (Sherman,
+Morrison and Woodbury).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Of the rows, this part may differ from those factorised before it is cheaper to factorise again.
+# The part of the rows up to which an update is cheaper than a new factorisation.
 CHANGED_ROWS = 0.15
-# What an update leaves of the right-hand side, relative to the largest number in the system, before it is given up.
+# The largest residual of an update, relative to the largest number in the system.
 LEFT = 1e-13
-# A null vector of unit length that moves a contact by less than this moves none, and has no force below this.
+# Components of unit null vectors below this, as displacements of contacts or as forces, count as zero.
 UNDETERMINED = 1e-8
 
 
@@ -44,7 +44,7 @@ class Lengths:
     size: float  # the largest of them
 
     def felt(self, status: Status) -> float:
-        """Return the largest of the data, without gaps and slip origins of open contacts, which may be far away."""
+        """Return the largest of the data, without gaps and slip origins of open contacts, which may be large."""
         felt, m = np.ones(len(self.target), dtype=bool), len(status)
         felt[:m] = felt[m : 2 * m] = status != OPEN
         parts = (self.free, self.target[felt], self.drive)
@@ -53,7 +53,7 @@ class Lengths:
 
 @dataclass(frozen=True, eq=False)
 class CombinationAnswer:
-    """The answer of one combination, scaled; whether its signs hold is another matter."""
+    """The scaled solution of the system of one combination, whose signs need not hold."""
 
     status: Status  # (m,)
     normal: Vector  # (m,) l_N
@@ -62,7 +62,7 @@ class CombinationAnswer:
     motion: Vector  # (q,) a
     gap: Vector  # (m,) g - N x
     slip: Vector  # (m,) T x - o
-    residual: float  # the largest residual of the system: not rounding where the combination has no answer
+    residual: float  # the largest residual of the system, large where it has no solution
 
     def worst(self, coefficient: Vector) -> Vector:
         """Return by how much the signs of each contact fail (m,), negative where they hold."""
@@ -91,7 +91,7 @@ class ForceSystem:
         self._balance = np.hstack([(R @ rows.motions).T, np.zeros((motions, motions))])
         self._factor: _Factor | None = None
         self.factorisations = 0
-        # Force that resists a unit of length at one contact alone.
+        # Force per unit of displacement at a single contact.
         compliance = -np.diagonal(self.slope)[: 2 * self.contacts]
         self.resistance = 1.0 / np.where(compliance > SINGULAR, compliance, 1.0)
 
@@ -104,11 +104,13 @@ class ForceSystem:
         return Lengths(free, target, drive, load, size or 1.0)
 
     def plain(self, status: Status) -> Status:
-        """Return a combination in which closed contacts without friction slip on: slipping back is the same."""
+        """Return the combination with SLIP_ON at all closed contacts without friction, for which both slips are
+        equal.
+        """
         return np.where((self.coefficient <= 0) & (status != OPEN), SLIP_ON, status).astype(np.int8)
 
     def solve(self, status: Status, lengths: Lengths) -> CombinationAnswer:
-        """Return the answer of a combination; where it leaves forces or motions free, the least one that fits best."""
+        """Return the answer of a combination, the minimum-norm least-squares solution where it is singular."""
         if self._factor is None or not self._factor.near(status):
             self._factorise(status)
         y, left = self._solved(status, lengths)
@@ -118,7 +120,7 @@ class ForceSystem:
         return self._answer(status, lengths, y, left)
 
     def redundant(self, status: Status) -> bool:
-        """Return whether a combination that was just solved leaves forces free, as dependent rows do."""
+        """Return whether the combination just solved does not determine all forces, as with dependent rows."""
         if self._factor is None or not self._factor.singular:
             return False
         _, values, rotation = np.linalg.svd(self.matrix(status))
@@ -126,9 +128,9 @@ class ForceSystem:
         return bool(np.any(abs(free) > UNDETERMINED))
 
     def undetermined(self, status: Status) -> bool:
-        """Return whether a combination leaves free where its closed contacts and its ties move.
+        """Return whether a combination does not determine the displacements of its closed contacts and ties.
 
-        Forces of redundant contacts may be free, and rigid motions that take none of these along.
+        Undetermined forces of redundant contacts, and rigid motions that displace none of these, do not count.
         """
         matrix = self.matrix(status)
         if not len(matrix):
@@ -136,12 +138,12 @@ class ForceSystem:
         _, values, rotation = np.linalg.svd(matrix)
         free = rotation[values <= SINGULAR * values[0]].T
         ties = np.ones(len(self.slope) - 2 * self.contacts, dtype=bool)
-        # What moves none of them does no work: it bends no body.
+        # A displacement of none of them does no work and deforms no body.
         moved = self.slope[np.concatenate([self._held(status != OPEN), ties])] @ free
         return bool(np.any(abs(moved) > UNDETERMINED))
 
     def same(self, one: CombinationAnswer, other: CombinationAnswer, loaded: Mask, tolerance: float) -> bool:
-        """Return whether two answers differ only by a rigid motion that moves no loaded contact, nor any that pushes.
+        """Return whether two answers differ only by a rigid motion that displaces no contact under load or force.
 
         Parameters
         ----------
@@ -158,7 +160,7 @@ class ForceSystem:
         return bool(np.all(abs(moved - rigid) <= tolerance) and np.all(abs(held) <= tolerance))
 
     def _held(self, contacts: Mask) -> Mask:
-        """Return flags (2m,) of the rows along which contacts hold; without friction only the normal one does."""
+        """Return a mask (2m,) of the rows that these contacts constrain, without friction only the normal one."""
         return np.concatenate([contacts, contacts & (self.coefficient > 0)])
 
     def displacement(self, answer: CombinationAnswer, lengths: Lengths) -> Vector:
@@ -237,7 +239,7 @@ class ForceSystem:
 
 
 class _Factor:
-    """The LU factors of one combination, and with them the solutions of those near it."""
+    """The LU factors of one combination, used with updates for combinations near it."""
 
     def __init__(self, system: ForceSystem, status: Status) -> None:
         from scipy.linalg.lapack import dgecon, dgetrf
@@ -261,7 +263,7 @@ class _Factor:
         return len(self._changed(status)) <= CHANGED_ROWS * len(self._lu)
 
     def solve(self, status: Status, right: Vector) -> Vector:
-        """Return y with the rows of another combination in place of those factorised."""
+        """Return the solution y of another combination by an update of the factors."""
         y = self._back(right)
         changed = self._changed(status)
         if not len(changed):

@@ -1,10 +1,10 @@
-"""Nonsmooth Gauss-Seidel (Jourdan, Alart, Jean 1998): contact by contact, the others' forces held.
+"""Nonsmooth Gauss-Seidel (Jourdan, Alart, Jean 1998), contact by contact with the other forces fixed.
 
 Each contact solves its own law with its own block of W: in the plane by trying open, stick and slip both ways; in space
-by projections r <- P_K(r - rho (u + mu |u_T| e_N)), rho adapting itself so that a step neither overshoots nor crawls
-(Acary, Bremond, Huber 2018, self-adaptive fixed point). Contacts that do not feel each other are of one colour and move
-together. Joints follow every sweep by a proximal step, by which conditions V'r = -s on the forces, R = 0, become
-springs 1/e on the contacts and multipliers (augmented Lagrangian).
+by projections r <- P_K(r - rho (u + mu |u_T| e_N)), with adaptive rho (Acary, Bremond, Huber 2018, self-adaptive fixed
+point). Uncoupled contacts have one colour and are updated together. Joints follow every sweep by a proximal step, by
+which conditions V'r = -s on the forces, R = 0, become springs 1/e on the contacts and multipliers (augmented
+Lagrangian).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from contactqp.linalg.measures import lengths, reciprocal
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 
-# Projections of one contact in one sweep; it need not be exact while the others still move.
+# The number of projections of one contact in one sweep, which need not converge while the others still change.
 LOCAL_STEPS = 12
-# rho shrinks where a step changes the velocity by more than the first of these of itself, grows below the second.
+# rho shrinks if the relative change of velocity in a step exceeds the first number, and grows below the second.
 TOO_LONG, TOO_SHORT = 0.9, 0.3
 SHRINK, GROW = 2.0 / 3.0, 1.5
 # The compliance that stands for joints without any.
@@ -66,7 +66,7 @@ class _Sweeps:
         """Make one sweep over all contacts."""
         form, q = self._form, self._form.q
         if form.joints:
-            # l = (R + e)^-1 (e l_old - s - V'r): what of it is no spring on the contacts.
+            # The part of l = (R + e)^-1 (e l_old - s - V'r) that does not depend on r.
             held = self._stiffness @ (self._regular * self.joint - form.s)
             q = q + form.V @ held
         q = q.reshape(form.m, form.d)
@@ -80,7 +80,9 @@ class _Sweeps:
 
 
 def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, Mask]:
-    """Return forces (k, 2) of single contacts, u = W_ii r + q_i, and which have any; open comes first, then stick."""
+    """Return forces (k, 2) of single contacts, u = W_ii r + q_i, and which have a solution; open is tried first, then
+    stick.
+    """
     a, b, c, e = own[:, 0, 0], own[:, 0, 1], own[:, 1, 0], own[:, 1, 1]
     normal, tangential = outer[:, 0], outer[:, 1]
     r, done = np.zeros_like(outer), normal >= 0
@@ -98,7 +100,7 @@ def solve_in_plane(own: Array, outer: Array, mu: Vector) -> tuple[Array, Mask]:
 
 
 def solve_contacts(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -> tuple[Array, Vector]:
-    """Return forces (k, d) of k single contacts, u = W_ii r + q_i, and the steps rho (k,) that suited them.
+    """Return forces (k, d) of k single contacts, u = W_ii r + q_i, and the adapted steps rho (k,).
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -
 
 
 def colours(W: Array, m: int, d: int) -> list[Indices]:
-    """Return groups of contacts that do not feel each other, found greedily."""
+    """Return groups of uncoupled contacts, found greedily."""
     entries = sp.coo_array(W)
     pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))
     pairs = sp.csr_array(pairs + pairs.T)

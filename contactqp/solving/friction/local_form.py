@@ -1,12 +1,12 @@
-"""A local problem scaled for its algorithms, with the iterates that they hand to each other and Aitken's relaxation.
+"""Scale a local problem for its algorithms, and define their common iterate and Aitken's relaxation.
 
 Contacts have a compliance of one and velocities a size of one. With D = diag(s_i I), s the problem's `contact_scale`,
 b its `typical_velocity`, and T such that D V T has unit columns,
 
     W := D W D,    q := D q / b,    V := D V T,    r := D^-1 r / b,    u := D u / b,
 
-which keeps every cone as it is. Where bodies move far under forces that hardly deform them, forces are given a size c
-of their own, r := r / c, W := c W, R := R / c and s := s / c, so that beside lengths of size one they are not rounding.
+which keeps every cone as it is. Where bodies move as if rigid, forces are scaled by a separate size c, r := r / c, W :=
+c W, R := R / c and s := s / c, so that they are not rounding errors beside lengths of size one.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
 
-# Beyond this size, operators with fewer entries than this part of all are kept and factorised sparse.
+# Operators beyond this size, with a part of nonzero entries below this, are stored and factorised sparse.
 DENSE_SIZE = 150
 SPARSE_DENSITY = 0.05
-# Motions that no contact resists have no say in any force: this keeps their equations regular, unit columns of V by.
+# A regularisation of the equations of motions that no contact resists, which do not influence any force.
 JOINT_REGULARISATION = 1e-12
 
 
@@ -87,7 +87,7 @@ class LocalForm:
 
     @cached_property
     def symmetric_part(self) -> Any:
-        """Return (W + W')/2, what a minimisation makes of W."""
+        """Return (W + W')/2, the part of W that enters a minimisation."""
         return (self.W + self.W.T) / 2 if self.asymmetric else self.W
 
     def velocity(self, r: Array, joint: Vector) -> Array:
@@ -104,7 +104,7 @@ class LocalForm:
         return np.asarray(self.V.T @ r.ravel() + self.R @ joint + self.s)
 
     def joint_force(self, r: Array) -> Vector:
-        """Return the joints' forces that fit contact forces best: R l = -s - V'r, and a small u where R is singular."""
+        """Return the joint forces for given contact forces: R l = -s - V'r, with small u where R is singular."""
         if not self.joints:
             return np.zeros(0)
         stacked = np.vstack([self.R, 1e-8 * self.V])
@@ -124,7 +124,7 @@ class LocalForm:
 
 
 class BlockSystem:
-    """The factors of [[A, V], [V', R + e I]], A being (d m, d m), dense or sparse, e tiny where R is none.
+    """The factors of [[A, V], [V', R + e I]] with A (d m, d m), dense or sparse, and tiny e where R is zero.
 
     Raises LinAlgError: it is singular.
     """
@@ -145,7 +145,7 @@ class BlockSystem:
             from scipy.linalg.lapack import dgetrf
 
             blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
-            # LAPACK complains of matrices without rows.
+            # LAPACK does not accept matrices without rows.
             factor, pivots, info = dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
             if info > 0:
                 raise np.linalg.LinAlgError(f"pivot {info} is zero")
@@ -177,7 +177,7 @@ class Iterate:
 
     @property
     def size(self) -> float:
-        """Return the largest force, or one where that is larger: velocities have a size of one."""
+        """Return the largest force, at least one, the size of velocities."""
         return max(1.0, float(np.max(abs(self.force), initial=0.0)))
 
     @classmethod
@@ -198,7 +198,7 @@ class Iterate:
 
     @classmethod
     def nothing(cls, form: LocalForm) -> Iterate:
-        """Return the iterate without contact forces, the bodies at rest or where the joints hold them."""
+        """Return the iterate without contact forces, with the joint forces that belong to it."""
         none = np.zeros((form.m, form.d))
         starts = (cls.at(form, none, joint) for joint in (np.zeros(form.joints), form.joint_force(none)))
         return min(starts, key=lambda one: one.error)
@@ -227,9 +227,9 @@ class Deadline:
             raise NotConverged(f"{who}: stopped at the time limit of {stated_limit(self._limit)}")
 
 
-# What has been tried from an iterate is tried again from one whose error is this part of it.
+# A combination is tried again from an iterate whose error has fallen to this part.
 NEARER = 0.5
-# The factor stays between these: a full step, and one small enough for mu = 20 mu_c.
+# The range of the factor, from a full step to one that is small enough for mu = 20 mu_c.
 RELAXATION = (0.05, 1.0)
 
 
@@ -260,4 +260,4 @@ class FoundOnBodies:
     answer: Answer
     name: str  # of the algorithm, and of the convex method where it takes steps of one
     history: tuple[float, ...] = ()  # the algorithm's measure of progress, one number an iteration
-    iterations: int | None = None  # where these are not one more than the history has
+    iterations: int | None = None  # iterations, if not the length of the history less one

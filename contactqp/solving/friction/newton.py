@@ -1,12 +1,12 @@
 """Coulomb friction in the plane by Newton's method on the combination of states.
 
-A combination of open, stick and slip either way is solved as the linear system that it is; the projections
+The linear system of a combination of open, stick and slip either way is solved; the projections
 
     closed where l_N + r_N (N x - g) > 0,   sliding where |l_T + r_T (T x - o)| > mu (l_N + r_N (N x - g))
 
 suggest the next one, until its signs hold: the semismooth Newton method of Alart and Curnier (1991), which in the plane
-is a primal-dual active set (Hueeber, Stadler and Wohlmuth 2008). From the combination of the load before it takes a
-step or two. Where combinations come back, one contact at a time is changed, the one whose signs fail most.
+is a primal-dual active set (Hueeber, Stadler and Wohlmuth 2008). From the combination of the previous load it takes a
+step or two. If combinations recur, one contact at a time is changed, the one with the largest violation.
 
 With many contacts (`solve_sparse_newton`) the systems are those of `contactqp.linalg.sparse_states`, which contain
 every unknown of the bodies. The start is then the contacts that close without friction, all of them stuck, which the
@@ -38,12 +38,12 @@ from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.
 ROUNDING_OF_SIGNS = 1e-13
-# Where combinations come back: refinement, which judges each contact in its own measure, has the last word.
+# A looser limit if combinations recur, since refinement then judges each contact in its own measure.
 DOUBTFUL = 1e-11
-# What fails by more than this part of the answer itself is no rounding of it: on bodies that next to nothing holds, the
-# displacement without contact forces, in which ROUNDING_OF_SIGNS is measured, may exceed the answer by all its digits.
+# Violations above this part of the answer itself are not rounding. For weakly supported bodies the displacement without
+# contact forces, to which ROUNDING_OF_SIGNS refers, may exceed the answer by many orders of magnitude.
 DROWNED = 1e-6
-# Suggestions in a row, and changes of one contact each for every contact, before it is given up.
+# The most steps of the projections, and of changes of single contacts for each contact.
 MAX_STEPS = 60
 CHANGES_A_CONTACT = 4
 
@@ -95,7 +95,7 @@ def refined(
     lengths: Lengths,
     found: CombinationAnswer,
 ) -> Answer:
-    """Return the answer of a combination to the last digits, whether its signs hold or not.
+    """Return the answer of a combination to the last digits, without checking its signs.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def search(
         if held_open is not None:
             wrong = np.where(held_open, -np.inf, wrong)
         size = max(lengths.felt(status), float(np.max(found.normal, initial=0.0)))
-        # A combination that has no answer may be passed through, and is none.
+        # A combination without a solution may be an intermediate step but not the answer.
         worst = max(float(np.max(wrong, initial=0.0)), found.residual if found.residual > DOUBTFUL * size else 0.0)
         if worst <= ROUNDING_OF_SIGNS * size:
             return _not_drowned(system, lengths, found, held_open), steps
@@ -182,7 +182,7 @@ def search(
 def _not_drowned(
     system: ForceSystem, lengths: Lengths, found: CombinationAnswer, held_open: Mask | None
 ) -> CombinationAnswer:
-    """Return an answer whose signs fail by rounding alone; refuse it where rounding is as large as the answer."""
+    """Return an answer whose signs fail by rounding only; raise NotConverged if rounding is as large as the answer."""
     wrong = np.where(False if held_open is None else held_open, 0.0, found.worst(system.coefficient))
     fails = max(float(np.max(wrong, initial=0.0)), found.residual)
     parts = (lengths.target, found.normal, found.friction, found.gap, found.slip)
@@ -192,7 +192,7 @@ def _not_drowned(
 
 
 def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
-    """Return the combination that the projections make of an answer."""
+    """Return the combination that the projections give for an answer."""
     m = system.contacts
     push = found.normal - system.resistance[:m] * found.gap
     trial = found.friction + system.resistance[m:] * found.slip
@@ -202,7 +202,7 @@ def suggested(system: ForceSystem, found: CombinationAnswer) -> Status:
 
 
 def combination_of(problem: ContactProblem, answer: Answer) -> Status:
-    """Return the states of an answer: closed where it pushes, slipping where E_T u has left the origin."""
+    """Return the states of an answer: closed where a force acts, slipping where E_T u differs from the origin."""
     if problem.tangent is None or problem.slip_origin is None:
         raise ValueError("combination of a problem without friction")
     origin, u = problem.slip_origin.ravel(), answer.displacement
@@ -213,7 +213,7 @@ def combination_of(problem: ContactProblem, answer: Answer) -> Status:
 
 
 def _one_changed(status: Status, following: Status, wrong: Vector) -> Status:
-    """Return the combination with the state changed of that contact alone whose signs fail most."""
+    """Return the combination in which only the contact with the largest violation has changed its state."""
     changes = status != following
     if not np.any(changes):
         return status
@@ -231,7 +231,7 @@ def _touching(system: ForceSystem, lengths: Lengths) -> Status:
     return np.where(overlap | floats, STICK, OPEN).astype(np.int8)
 
 
-# Combinations before it is given up, and the sweeps of refinement that tell their signs.
+# The most combinations, and the sweeps of refinement before signs are judged.
 MAX_SPARSE_STEPS, LOOSE_SWEEPS = 40, 1
 # Signs that fail by this part of the largest force, lengths and forces both in sqrt(energy), fail by rounding.
 SPARSE_ROUNDING = 1e-13
@@ -247,11 +247,11 @@ class SparseNewtonAnswer:
     back_substitutions: int
 
 
-# Slips on the set that closes without friction are wanted as well as the set.
+# The answer without friction must be accurate enough for its slips.
 SLIPS_KNOWN = 1e-6
-# A contact that slips without friction by so many times what its bound would move its unknowns alone is taken to slip:
-# the surface around it follows. On strips with friction between 0.05 and 1 this saves up to two combinations of six and
-# costs none.
+# A contact is assumed to slip if it slips without friction by more than this multiple of the displacement of its
+# unknowns alone by the friction bound, as the surface around it moves along. On strips with friction between 0.05 and 1
+# this saves up to two of six combinations.
 COMPLIANT = 30.0
 
 
@@ -281,7 +281,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
             spent += rows.system(problem, status).back_substitutions - solved
             clean = without_noise(problem, unknown_scale(problem), rows, last, here)
             return SparseNewtonAnswer(clean, step, rows.factorisations - before, spent)
-        if following.tobytes() in seen:  # the signs of a few contacts chase each other: one at a time
+        if following.tobytes() in seen:  # a few contacts cycle, so change one at a time
             one = _next_unseen(status, following, seen)
             if one is None:
                 break
@@ -293,7 +293,7 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
 
 
 def _first(problem: ContactProblem, settings: Settings) -> Status:
-    """Return the combination of a known answer, or of the answer without friction, slipping where that slips far."""
+    """Return the combination of a known answer, or of the answer without friction with slip where that slips far."""
     if settings.warm_start is not None:
         return combination_of(problem, settings.warm_start.answer)
     identified = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
@@ -329,10 +329,10 @@ def _suggested(problem: ContactProblem, rows: SparseFrictionalRows, found: Refin
     trial = np.where(stuck, friction, friction + slip)
     rounding = SPARSE_ROUNDING * float(np.max(abs(normal), initial=0.0))
     sliding = np.where(trial > 0, SLIP_ON, SLIP_BACK)
-    # What already holds by rounding stays: a gap of zero opens, a friction force at its bound slips, one time only.
+    # Conditions that hold within rounding do not change a state.
     sticks = abs(trial) <= rows.coefficient * push + np.where(stuck, rounding, 0.0)
     slides = ~stuck & closed
-    # What slides against its friction sticks before it slides the other way.
+    # A contact that slides against its friction sticks before it slides the other way.
     sliding = np.where(slides, np.where(_slip_directions(status) * slip >= -rounding, status, STICK), sliding)
     following = np.where(sticks & ~slides, STICK, sliding)
     closes = np.where(closed, push > -rounding, push > rounding)
@@ -340,7 +340,7 @@ def _suggested(problem: ContactProblem, rows: SparseFrictionalRows, found: Refin
 
 
 def _next_unseen(status: Status, following: Status, seen: set[bytes]) -> Status | None:
-    """Return the first combination that differs by one of the changes and has not been tried; None where all have."""
+    """Return the first untried combination that differs by one of the changes, None where all have been tried."""
     for i in np.flatnonzero(status != following):
         one = status.copy()
         one[i] = following[i]

@@ -7,8 +7,8 @@ With a bound theta in place of mu l_N, friction is convex:
 which with w_i >= |T_i x - o_i| as more unknowns, theta_i their loads, is a `ContactProblem` for any method: the forces
 of the two rows T_i x - w_i <= o_i and -T_i x - w_i <= -o_i add up to theta_i, and their difference is l_T. The next
 bound is mu l_N of the answer. One sliding contact contracts by mu/mu_c, mu_c = W_NN/|W_NT|; beyond it the bounds cycle,
-which Aitken's relaxation (Irons and Tuck 1969) damps. After every step the combination of open, stick and slip that the
-answer suggests is solved as the linear system that it is: where its signs hold, that is the answer to the last digits.
+which Aitken's relaxation (Irons and Tuck 1969) damps. After every step the linear system of the combination of open,
+stick and slip that the answer suggests is solved; if its signs hold, this is the answer to the last digits.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.local_form import NEARER, RELAXATION, FoundOnBodies, aitken
 from contactqp.solving.methods import Method, Settings, algorithm_name
 
-# Enough for contractions up to 0.9; what is slower is not getting there.
+# The most steps, enough for contraction factors up to 0.9.
 MAX_STEPS = 100
-# A bound of this part of the largest is none.
+# Bounds below this part of the largest count as zero.
 NO_BOUND = 1e-14
 # Bounds that change by less than this part of the largest have converged; the combination they suggest is then final.
 SETTLED = 1e-13
@@ -92,7 +92,7 @@ def tresca_on_bodies(
         try:
             found = run.with_bound(bound)
         except NoEquilibrium as error:
-            # Its unknowns are scaled, and some of them no displacements: their names would mislead.
+            # Names are dropped, as its unknowns are scaled and not all are displacements.
             raise NotConverged(
                 f"tresca: the friction bounds of step {step} do not hold the bodies", tuple(changes)
             ) from error
@@ -120,12 +120,12 @@ def tresca_on_bodies(
 
 
 def _has_one_answer(problem: ContactProblem, condensation: Condensation) -> bool:
-    """Return whether friction is proven to leave one answer, so that it does not matter how that is found."""
+    """Return whether the answer is proven to be unique, so that any combination that holds is the answer."""
     return too_many(problem, condensation) is None and critical(problem, condensation).unique
 
 
 def _pace(changes: list[float]) -> str:
-    """Return in words how fast the friction bounds settled in the last steps."""
+    """Return a text on the rate at which the friction bounds converged in the last steps."""
     if len(changes) < 2 or changes[-2] == 0:
         return "the friction bounds have not settled"
     pace = (changes[-1] / changes[max(-5, -len(changes))]) ** (1 / min(4, len(changes) - 1))
@@ -146,8 +146,7 @@ class _Run:
         self._gap, self._origin, self._value = self._rows.lengths(problem)
 
     def first_bound(self) -> tuple[Vector, _Step | None]:
-        """Return the friction bounds that the iteration starts from, scaled, and the answer without friction if it is
-        that which they are of."""
+        """Return the first friction bounds, scaled, and the answer without friction if they are taken from it."""
         rows = self._rows
         if self._start is not None:
             return rows.coefficient * np.maximum(self._start.answer.normal_force * rows.normal_length, 0.0), None
@@ -159,13 +158,13 @@ class _Run:
         try:
             return self.bound_of(self._stuck()), None
         except NoEquilibrium as error:
-            # In scaled unknowns, which would be misleading names.
+            # Names are dropped, as the unknowns are scaled.
             raise NotConverged(
                 "tresca: neither without friction nor with all contacts stuck are the bodies held"
             ) from error
 
     def _without_friction(self) -> _Step:
-        """Return the answer without friction: that of the problem as it is condensed, where the method takes that."""
+        """Return the answer without friction, on the condensation where the method accepts one."""
         condensed, rows = self._method.solve_condensed, self._rows
         if condensed is None or self._condensation.rigid.count:
             return self.with_bound(np.zeros(self._problem.contacts))
@@ -223,7 +222,7 @@ class _Run:
         return answer.displacement, answer.normal_force, answer.tie_force
 
     def _limited(self) -> Settings:
-        """Return the settings of a convex problem with the time that is left; raise NotConverged where none is."""
+        """Return the settings of a convex problem with the remaining time; raise NotConverged if there is none."""
         limit = self._settings.time_limit
         if limit is None:
             return self._settings
@@ -233,8 +232,9 @@ class _Run:
         return replace(self._settings, time_limit=left)
 
     def suggested(self, step: _Step, bound: Vector) -> Status:
-        """Closed where l_N > gap, sliding where |l_T + s| exceeds the bound: lengths and forces are both in
-        sqrt(energy), the projections' parameter is one."""
+        """Return the states: closed where l_N > gap, sliding where |l_T + s| exceeds the bound, both in
+        sqrt(energy).
+        """
         rows = self._rows
         trial = step.friction + rows.tangent @ step.x - self._origin
         sliding = np.where(trial > 0, SLIP_ON, SLIP_BACK)
@@ -261,7 +261,7 @@ def _bounded_rows(normal: Array, tangent: Array) -> Array:
 
 
 def solve_convex(method: Method, problem: ContactProblem, settings: Settings) -> Candidate:
-    """Solve one convex problem of a fixed point, made nondimensional where the method asks for it.
+    """Solve one convex problem of a fixed point, made nondimensional if the method needs it.
 
     Raises NotConverged: the answer has numbers that are not finite.
     """

@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 DEFAULT_METHOD = "active-set"
-# Of the convex steps of friction in space, for methods that take no cones.
+# Options of the convex steps of friction in space, for methods that take no cones.
 POLYGON_OPTIONS = ("facets", "polygon")
 
 _MODULES = (
@@ -136,14 +136,14 @@ ARGUMENTS = (
 ELSEWHERE = {"tol": "tolerance", "eps": "tolerance", "eps_abs": "tolerance", "rtol": "tolerance", "atol": "tolerance",
              "solver": "method", "maxiter": "max_iter", "max_iterations": "max_iter", "timeout": "time_limit",
              "initvals": "warm_start", "x0": "warm_start", "beta": "penalty", "kappa": "perturbation"}  # fmt: skip
-# What somebody may give to `solve` and is a part of the problem.
+# Arguments that belong to the problem and not to `solve`.
 OF_THE_PROBLEM = ("load", "gap", "friction", "slip_origin", "normal", "tangent", "tie", "tie_value")
 
 
 def options_of(name: str, names: Iterable[str], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the options stated for several methods that one of them takes.
+    """Return the options, stated for several methods, that apply to one of them.
 
-    An option that none of the methods takes is among them: whoever solves refuses it.
+    An option that none of the methods takes is kept, so that `solve` refuses it.
     """
     return {key: value for key, value in options.items() if takes(name, key) or not any(takes(n, key) for n in names)}
 
@@ -159,7 +159,7 @@ def _polygon_options(method: Method) -> tuple[str, ...]:
 
 
 def meant_option(name: str, options: Sequence[str]) -> str:
-    """Return a hint at the argument of `solve` or the option of a method that a name may stand for."""
+    """Return a hint at the argument of `solve` or option of a method that resembles a name."""
     if name in OF_THE_PROBLEM:
         return f" (it belongs to the problem: solve(problem.replace({name}=...)))"
     meant = ELSEWHERE.get(name.casefold())
@@ -242,8 +242,8 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
         )
 
 
-# Dense matrices of the unknowns that a method is shown, held at a time: 10 by DAQP, 24 by Lemke's method. Where sparse
-# systems are predicted to cost less, dense ones of so many operations, minutes, are not begun. Few rows do not matter.
+# The number of dense matrices that methods need at a time: 10 for DAQP, 24 for Lemke's method. Where sparse systems are
+# predicted to cost less, dense ones are refused beyond this number of operations (minutes) and of rows.
 COPIES, MOST_DENSE, FEW_ROWS = 10, 5e11, 1000
 
 

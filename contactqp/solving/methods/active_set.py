@@ -3,7 +3,7 @@
 The primal-dual active set (Hintermueller, Ito and Kunisch 2003) takes the contacts with W_ii l_i > gap_i as closed,
 solves, and repeats; few steps, and many contacts change in each. Where it comes back to a set it has seen, Goldfarb and
 Idnani's method, which ends after finitely many steps, takes over. Bodies held by contact alone are anchored by soft
-springs whose force a proximal iteration removes; every pass ends with a look at the true equilibrium on its set.
+springs whose force a proximal iteration removes; every pass ends by solving the true equilibrium on its set.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Method, Settings
 
-# More steps than this mean that the sets alternate; the safeguard is cheaper.
+# After this many steps the sets alternate, and the safeguard is cheaper.
 PRIMAL_DUAL_STEPS = 40
 PROXIMAL_STEPS = 60
 # Entries of a row of unit length along a motion that are below this are set to zero; HiGHS drops them, too.
@@ -50,7 +50,7 @@ def solve_condensed(
 ) -> Candidate:
     """Run `solve_active_set` on a condensation; the displacement is that of the retained unknowns.
 
-    Where no set is found Lemke's method is shown the condensed problem, or the one given as `shown`.
+    Where no set is found, Lemke's method solves the condensed problem, or the one given as `shown`.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def solve_condensed(
     force = np.zeros(len(operator.W))
     if settings.warm_start is not None:
         force[: problem.contacts] = settings.warm_start.answer.normal_force / operator.row_scale[: problem.contacts]
-    # Contacts that W, which has the squares of what tells rows apart, takes for dependent, and that need not be.
+    # Contacts that appear dependent in W, which squares the differences of rows, may be independent.
     doubtful = np.zeros(0, dtype=np.intp)
     steps = 0
     before: Indices | None = None
@@ -77,14 +77,14 @@ def solve_condensed(
         free = operator.free_response(load, anchor)
         try:
             force, taken = _closed_by(operator.dual_data(problem, free), force, limit - steps)
-        except Infeasible as conflict:  # or so it looks through the anchors' springs, or in W
+        except Infeasible as conflict:  # or appears so by the springs of anchors or in W
             doubtful = conflict.rows[conflict.rows < problem.contacts]
             break
         steps += taken
         anchor = operator.displaced(free, force)
         closed = np.flatnonzero(force[: problem.contacts] > 0)
         answer = None
-        if before is None or not np.array_equal(closed, before):  # a set that does not hold, does not hold later
+        if before is None or not np.array_equal(closed, before):  # a set that failed will fail again
             answer = _equilibrium_on(problem, condensation, operator, load, size, closed)
         if answer is not None:
             return Candidate(answer, iterations=steps)
@@ -101,7 +101,9 @@ def solve_condensed(
 
 
 def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) -> Candidate:
-    """Solve by Lemke's finite pivoting, which needs no anchors, where stiffnesses lie too far apart for them."""
+    """Solve by Lemke's finite pivoting, which needs no anchors, where the range of stiffnesses is too large for
+    them.
+    """
     from contactqp.solving.methods.complementarity import solve_lemke
 
     twin, scaling = nondimensional(problem)
@@ -111,9 +113,9 @@ def _without_anchors(problem: ContactProblem, settings: Settings, steps: int) ->
 
 
 def _rigid_answer(problem: ContactProblem, operator: Delassus, load: Vector) -> Vector:
-    """Return where rigid bodies would go, max f'Z a over E Z a <= g, scaled: the place to anchor them.
+    """Return the displacement of rigid bodies, max f'Z a over E Z a <= g, scaled, at which they are anchored.
 
-    Under a light load a stiff body crosses a wide gap: far more than the anchors' springs would let it go in a step.
+    A stiff body may cross a wide gap under a small load, which would take many steps with the anchors at rest.
     """
     motions, scaled_load = operator.motions, load * operator.scale
     drive = motions.T @ scaled_load
@@ -187,7 +189,7 @@ def _primal_dual(
         force = np.zeros(len(W))
         if B.size:
             lower = lower_factor(W[B[:, None], B])
-            # Redundant contacts: the finite method knows which of them to keep.
+            # With redundant contacts the finite method chooses which of them to keep.
             if lower is None or lower.diagonal().min() ** 2 < OPERATOR_ROUNDING:
                 return force, step, False
             force[B] = lapack().dpotrs(lower, excess[B], lower=True)[0]
@@ -218,7 +220,7 @@ def _equilibrium_on(
     tension = max(OPERATOR_ROUNDING * abs(push).max(initial=0.0), BALANCED * np.max(size * operator.scale, initial=0.0))
     if np.any(push < -tension):
         return None
-    # Where nothing floats, the anchored set is the set. What free motions open, polishing opens by moving them.
+    # Where nothing floats, the set with anchors is final. Contacts that free motions open are opened by polishing.
     if condensation.rigid.count:
         penetrated = _penetrated(condensation, problem, x) & ~_moved(condensation, operator, saddle.free)
         penetrated[closed] = False
@@ -234,7 +236,7 @@ def _penetrated(condensation: Condensation, problem: ContactProblem, x: Vector) 
 
 
 def _moved(condensation: Condensation, operator: Delassus, free: Array) -> Mask:
-    """Return flags (m,) of contacts that feel the orthonormal, scaled motions (p, q) which the set leaves free."""
+    """Return a mask (m,) of contacts that the orthonormal, scaled motions (p, q) left free by the set displace."""
     rows = operator.rows[: len(condensation.normal)]
     felt = np.linalg.norm(rows @ free, axis=1)
     return np.asarray(felt > UNRESISTED * np.linalg.norm(rows, axis=1))

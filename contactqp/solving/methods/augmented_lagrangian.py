@@ -32,11 +32,11 @@ from contactqp.solving.methods.textbook_loop import Budget, Step, active_set_loo
 
 NAME = "augmented-lagrangian"
 
-# With beta at this many times the contact stiffness, an Uzawa iteration gains about two decimal digits where contacts
-# do not feel each other; larger values gain more and lose as many digits of the gap to rounding.
+# With beta at this multiple of the contact stiffness, an Uzawa iteration gains about two decimal digits for uncoupled
+# contacts; larger values gain more but lose as many digits of the gap to rounding.
 UZAWA_STIFFENING = 100.0
-# Uzawa's iteration that has not come nearer in so many ends, unless `max_iter` asks for more: with friction it may turn
-# in a circle, and where all that is left is rounding it comes no nearer either.
+# Uzawa's iteration ends after this many iterations without progress, unless `max_iter` is larger; with friction it may
+# cycle, and at the level of rounding it stagnates.
 STALLED = 100
 
 
@@ -82,7 +82,7 @@ def solve_augmented_lagrangian(problem: ContactProblem, settings: Settings) -> C
 
 
 def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
-    """Return which update is asked for, and beta (m,) as it was given or by default."""
+    """Return the requested update, and beta (m,) as given or by default."""
     update = settings.options.get("update", "simultaneous")
     if not isinstance(update, str) or update not in ("simultaneous", "uzawa"):
         raise InvalidProblem(f"{NAME}: update: expected 'simultaneous' or 'uzawa', got {shown(update)}")
@@ -95,8 +95,8 @@ def _chosen(problem: ContactProblem, settings: Settings) -> tuple[str, Vector]:
 def default_penalty(problem: ContactProblem, rows: Matrix, stiffening: float) -> Vector:
     """Return beta_i = stiffening / sum_j (E_ij^2 / K_jj) of rows E (m, n), (m,) [force / length]; an empty row gets 1.
 
-    An unknown without stiffness of its own counts with the largest stiffness of the problem; if nothing has any, every
-    beta finds the answer in one iteration and 1 is taken.
+    An unknown without stiffness counts with the largest stiffness of the problem; if K is zero, beta is 1, as any value
+    finds the answer in one iteration.
     """
     diagonal = problem.diagonal
     stiffest = float(diagonal.max(initial=0.0)) or 1.0
@@ -134,9 +134,10 @@ def _uzawa(
     forces_of: Callable[[Candidate], Vector],
     violation: Callable[[Candidate], float],
 ) -> Candidate:
-    """Repeat the penalty method's `answer` with forces kept, from `force` on, until neither forces nor laws are off.
+    """Repeat the penalty method's `answer` with updated forces, beginning with `force`, until forces and contact laws
+    converge.
 
-    It ends, unclaimed, when the iterations or seconds of the settings are spent or nothing has come nearer for long.
+    It ends unclaimed at the limit of iterations or time, or after long stagnation.
     """
     budget, history, changes = Budget(settings, 1000), list[float](), list[float]()
     status, inner = "", dataclasses.replace(settings, max_iter=None)

@@ -1,8 +1,8 @@
-"""Every quadratic programming backend of qpsolvers: one function, and one table of what each takes and gives.
+"""Call the quadratic programming backends of qpsolvers by one function, with a table of their capabilities.
 
-The contact problem is a quadratic program as it stands: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its
-dual z >= 0 is the contact force l_N and y the tie force nu; no sign is flipped. Backends differ in their tolerances,
-limits and matrix formats, and the table `BACKENDS` is where that is written down.
+The contact problem is a quadratic program: P = K, q = -f, G = E_N, h = g, and the ties are A x = b. Its dual z >= 0 is
+the contact force l_N and y the tie force nu; no sign is flipped. The table `BACKENDS` lists their tolerances, limits
+and matrix formats.
 
 Left out: quadprog, ECOS, CVXOPT and KVXOPT (GPL; the first two also refuse a semidefinite stiffness), MOSEK (qpsolvers
 reaches it through CVXOPT only), COPT (prints its licence search to the terminal at every call, and calls unbounded
@@ -48,15 +48,15 @@ class Backend:
     iteration_limit: str = "max_iter"
     default_limit: int | None = None  # where the backend's own default stops too early
     time_limit: str | None = None  # keyword that receives seconds; None: the backend knows no time limit
-    sparse: bool = True  # which matrices it takes: a dense stiffness is handed over dense where it may
+    sparse: bool = True  # matrices it takes; a dense stiffness is passed dense if possible
     dense: bool = False
     semidefinite: bool = True
-    needs_inequality: bool = False  # without inequality rows it, or qpsolvers in its place, does something else
-    bounds: bool = False  # takes bounds of one unknown apart from rows, and is faster for it
+    needs_inequality: bool = False  # whether it fails without inequality rows
+    bounds: bool = False  # whether separate bounds of unknowns make it faster
     warm_start: bool = False  # takes a displacement to start from
-    fixed: tuple[tuple[str, Any], ...] = ()  # settings that are always made, each with its reason beside it
-    status: tuple[str, ...] = ()  # where its own words are in Solution.extras
-    iterations: tuple[str, ...] = ()  # where its count of them is there; empty: qpsolvers does not hand it on
+    fixed: tuple[tuple[str, Any], ...] = ()  # settings that are always passed; reasons are given beside them
+    status: tuple[str, ...] = ()  # path of its status text in Solution.extras
+    iterations: tuple[str, ...] = ()  # path of its iteration count, empty if qpsolvers drops it
     note: str = ""
 
 
@@ -65,8 +65,8 @@ BACKENDS = (
         "osqp",
         "osqp",
         "pip install osqp",
-        # Infeasibility at its default of 1e-4 is declared of stiff problems that have an answer. Its own polish is off
-        # by default and stays off: a raw answer is to be raw.
+        # With its default of 1e-4 it declares feasible stiff problems infeasible. Its own polish stays off, so that raw
+        # answers are unpolished.
         tolerances=("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf"),
         default_limit=50_000,  # its own 4000 ends at KKT errors of 1e-4
         time_limit="time_limit",
@@ -126,7 +126,7 @@ BACKENDS = (
         tolerances=("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
         tightest=1e-10,
         iteration_limit="qp_iteration_limit",
-        default_limit=20_000,  # without one it goes on for ever where stiffnesses lie decades apart
+        default_limit=20_000,  # without a limit it may not end where stiffnesses differ by orders of magnitude
         time_limit="time_limit",
         # Added to the stiffness. Its default of 1e-7 spoils forces and calls unbounded problems solved; without any it
         # gives up on floating bodies.
@@ -196,7 +196,7 @@ BACKENDS = (
 
 
 def backend_options(backend: Backend, settings: Settings) -> dict[str, Any]:
-    """Return the keyword arguments of one call, by the names that the backend has for them."""
+    """Return the keyword arguments of one call in the backend's names."""
     options = dict(backend.fixed)
     options.update(dict.fromkeys(backend.tolerances, max(settings.tolerance, backend.tightest)))
     limit = settings.max_iter or backend.default_limit
@@ -245,8 +245,8 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
         except (KeyboardInterrupt, SystemExit, MemoryError):
             raise
         except BaseException as error:
-            # Backends raise what they like: ValueError, RuntimeError, their own types, and Rust's panics, which are
-            # no Exception. Nothing but the backend runs here, and the cause is kept.
+            # Backends raise arbitrary exceptions, including panics of Rust, which are not derived from Exception. Only
+            # the backend runs here, and the cause is kept.
             raise BackendFailed(f"{backend.name}: {type(error).__name__}: {error}") from error
     limit = options.get(backend.iteration_limit)
     within = "" if limit is None else f" within {limit} iterations: max_iter allows more"
@@ -257,10 +257,10 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
     return _candidate(problem, solution, _iterations(solution.extras, backend), status)
 
 
-# Gaps beyond this, in units of what moves, are left out: to backends they are infinite or spoil what they scale by, and
-# PIQP prints what it thinks of them. An answer that reached one would not pass.
+# Contacts with larger scaled gaps are left out, as backends treat them as infinite, scale badly by them, or, as PIQP,
+# print warnings. An answer that reached one would be refused.
 NEVER_REACHED = 1e25
-# Unknowns from which on bounds are handed over as bounds rather than as rows.
+# The number of unknowns from which on bounds are passed as bounds instead of rows.
 BOUNDS_PAY = 200
 
 
@@ -308,14 +308,14 @@ def _bounds(problem: ContactProblem) -> _Bounds | None:
 def _program(backend: Backend, problem: ContactProblem, bounds: _Bounds | None = None) -> Any:
     from qpsolvers import Problem
 
-    # Copies: some backends scale in place, and refuse the problem's own read-only arrays.
+    # Copies, as some backends scale in place and do not accept read-only arrays.
     form = _dense if backend.dense and not (backend.sparse and sp.issparse(problem.stiffness)) else _sparse
     G, h = problem.normal, problem.gap.copy()
     if bounds is not None:
         others = np.setdiff1d(np.arange(problem.contacts), bounds.contacts)
         G, h = G[others], h[others]
     if problem.contacts == 0 and backend.needs_inequality:
-        G, h = sp.csr_array((1, problem.dimension)), np.ones(1)  # 0'u <= 1 holds always and does nothing
+        G, h = sp.csr_array((1, problem.dimension)), np.ones(1)  # the constraint 0'u <= 1 has no effect
     rows = [form(G), h] if h.size else [None, None]
     ties = [form(problem.tie), problem.tie_value.copy()] if problem.ties else [None, None]
     box = [None, None] if bounds is None else [bounds.lower, bounds.upper]
@@ -323,7 +323,7 @@ def _program(backend: Backend, problem: ContactProblem, bounds: _Bounds | None =
 
 
 def _sparse(matrix: Any) -> Any:
-    """Return a copy in CSC form: some backends want matrices that they could write to."""
+    """Return a writable copy in CSC form, as some backends need."""
     return sp.csc_matrix(matrix, copy=True)
 
 
@@ -333,7 +333,7 @@ def _dense(matrix: Any) -> Any:
 
 
 def _initial(backend: Backend, settings: Settings) -> Vector | None:
-    # A start is a hint: a backend that takes none finds the same answer without.
+    # A start is optional, so it is dropped for backends that take none.
     if settings.warm_start is None or not backend.warm_start:
         return None
     return settings.warm_start.answer.displacement.copy()  # DAQP takes no array that it cannot write to
@@ -341,12 +341,12 @@ def _initial(backend: Backend, settings: Settings) -> Vector | None:
 
 @cache
 def hear_greeting(package: str) -> None:
-    """Let HiGHS print its version, which the first instance of a process does whatever it is told, to nobody."""
+    """Discard the version line that the first instance of HiGHS in a process always prints."""
     if package != "highspy":
         return
     import highspy
 
-    with contextlib.suppress(AttributeError, OSError, ValueError):  # no such file descriptor: nobody sees it anyway
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # no such file descriptor, so nothing is visible
         sys.stdout.flush()
         kept = os.dup(STANDARD_OUTPUT)
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -361,12 +361,12 @@ def hear_greeting(package: str) -> None:
 
 @contextlib.contextmanager
 def collected_words() -> Iterator[list[str]]:
-    """Collect what a backend warns and prints; it belongs to the status of its answer, not on the terminal."""
+    """Collect the warnings and the output of a backend for the status of its answer."""
     words: list[str] = []
     with warnings.catch_warnings(record=True) as caught, contextlib.redirect_stdout(io.StringIO()) as printed:
         warnings.simplefilter("always")
         yield words
-    # Announcements of changed defaults are for the backend's developers; what concerns the answer is a UserWarning.
+    # Deprecation warnings do not concern users; warnings about the answer are UserWarnings.
     words.extend(str(w.message) for w in caught if not issubclass(w.category, DEVELOPERS_WARNINGS))
     words.extend(printed.getvalue().split("\n")[:1] if printed.getvalue() else [])
 
@@ -393,7 +393,7 @@ def _values(values: Any, size: int, status: str) -> Vector:
 
 
 def _found(extras: Any, path: tuple[str, ...]) -> Any:
-    """Return what lies at a path of keys and attributes, or None."""
+    """Return the value at a path of keys and attributes, or None."""
     for name in path:
         extras = extras.get(name) if isinstance(extras, dict) else getattr(extras, name, None)
     return extras

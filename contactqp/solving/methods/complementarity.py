@@ -34,10 +34,10 @@ from contactqp.solving.methods.textbook_algebra import (
     spread,
 )
 
-# A unit motion that approaches every contact by less than this is felt by none: an arm shorter than rounding makes.
+# A unit motion that changes all gaps by less than this, a lever arm of rounding size, does not act on any contact.
 RESISTED = 1e-10
-# Load on a unit motion that nothing holds, relative to all load: it balances to this or is meant to drive it. (Not
-# relative to the load on the unknowns that move: those at rest move by rounding.)
+# The load on a unit motion that nothing resists, relative to all loads, up to which it counts as balanced. (It is not
+# relative to the load on moving unknowns, as those at rest have displacements of rounding size.)
 BALANCED = 1e-9
 
 Dense = Array
@@ -58,7 +58,7 @@ class Compliance:
 
 
 def compliance(name: str, problem: ContactProblem) -> Compliance:
-    """Eliminate displacements and ties; return what contact forces do to both.
+    """Eliminate displacements and ties, and return their response to contact forces.
 
     Raises
     ------
@@ -71,11 +71,11 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
     A, E = problem.tie[ties].toarray(), problem.normal.toarray()
     rigid = _rigid_motions(problem)
     n, k = problem.dimension, ties.size
-    # Rigid motions are measured in the stiffness's own numbers, so that they are pivots as large as the others.
+    # Rigid motions are scaled with the stiffness, so that their pivots are as large as the others.
     Z = rigid * (float(np.max(K.diagonal(), initial=0.0)) or 1.0)
     system = np.block([[K, A.T, Z], [A, np.zeros((k, k + Z.shape[1]))], [Z.T, np.zeros((Z.shape[1], k + Z.shape[1]))]])
     loads = np.column_stack([problem.load, E.T])
-    loads -= rigid @ (rigid.T @ loads)  # what drives rigid motions is balanced apart
+    loads -= rigid @ (rigid.T @ loads)  # the load on rigid motions is balanced separately
     right = np.vstack([loads, np.zeros((k + Z.shape[1], 1 + len(E)))])
     right[n : n + k, 0] = problem.tie_value[ties]
     solved = solve_linear(name, system, right)
@@ -91,7 +91,7 @@ def _rigid_motions(problem: ContactProblem) -> Dense:
 
 
 def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
-    """Return orthonormal motions that some row feels, and those that none does."""
+    """Return orthonormal motions that displace some row, and those that displace none."""
     if motions.shape[1] == 0 or rows.shape[0] == 0:
         return motions[:, :0], motions
     unit = rows.toarray() / np.sqrt(rows.power(2).sum(axis=1))[:, None]
@@ -101,7 +101,7 @@ def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:
 
 
 def _resisted(name: str, problem: ContactProblem, rigid: Dense) -> Dense:
-    """Return the rigid motions that some contact feels; refuse a load that drives the others, which stay at rest."""
+    """Return the rigid motions that displace some contact; raise NotConverged if the load drives the others."""
     resisted, unresisted = _split(problem.normal, rigid)
     if np.any(np.abs(unresisted.T @ problem.load) > BALANCED * np.linalg.norm(problem.load)):
         raise NotConverged(f"{name}: the load drives a rigid motion that no contact and no tie resists")
@@ -163,9 +163,9 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
 def _without_rounding(values: Dense, sizes: Dense) -> Dense:
     """Return values, set to zero where they are within the rounding of terms of these sizes.
 
-    Pivots follow signs: a contact on an unknown that a tie holds has neither a gap nor a compliance, and what rounding
-    has made of them would lead nowhere. There nothing meets but rounding, and sizes are those of contacts elsewhere:
-    compliances of the row's own unknowns with all others held, the largest motion.
+    Pivots depend on signs, so rounding errors must be exactly zero, as for a contact on a tied unknown, which has
+    neither gap nor compliance. Sizes are then those of other contacts: compliances of the row's own unknowns with all
+    others fixed, and the largest motion.
     """
     return np.where(abs(values) > TEXTBOOK_ROUNDING * sizes, values, 0.0)
 
@@ -271,7 +271,7 @@ def _leaving_row(tableau: Dense, basic: Indices, entering: int) -> int:
     """Return the row that blocks the entering variable, that of z0 if it is among them; -1 where no row blocks it."""
     m = len(basic)
     column = tableau[:, entering]
-    # A pivot that is rounding against its column would be division by noise.
+    # A pivot of rounding size relative to its column is skipped.
     rows = np.flatnonzero(column > TEXTBOOK_ROUNDING * max(1.0, float(np.max(np.abs(column)))))
     if rows.size == 0:
         return -1
@@ -305,11 +305,11 @@ def _pivot(tableau: Dense, row: int, column: int) -> None:
 
 
 def basic_solution(lcp: Complementarity, basis: Mask) -> tuple[Vector, Vector]:
-    """Return w and z of a complementary basis, computed afresh so that rounding of the pivots does not stay in them."""
+    """Return w and z of a complementary basis, computed from the data without the rounding errors of the pivots."""
     q, M = lcp.offset, lcp.matrix
     z = np.zeros(q.size)
     if np.any(basis):
-        # Least squares, for contacts whose rows depend on each other.
+        # Least squares, as rows of contacts may be dependent.
         z[basis] = np.linalg.lstsq(M[np.ix_(basis, basis)], -q[basis], rcond=None)[0]
     w = q + M @ z
     w[basis] = 0.0

@@ -1,4 +1,4 @@
-"""The contact problem stated in a modelling language (cvxpy): an independent way from the energy to the solver."""
+"""State the contact problem in the modelling language cvxpy, as an independent route to a solver."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
     Options
     -------
     solver : str, optional
-        Any solver of cvxpy's by its name, Clarabel by default. Solvers that are also methods of their own get
-        `settings.tolerance` in their own words; others run at their defaults.
+        The name of a solver of cvxpy, Clarabel by default. Solvers that are also methods here get `settings.tolerance`;
+        others run at their defaults.
     """
     cp = _cvxpy()
     solver = _solver(cp, settings.options.get("solver", "CLARABEL"))
@@ -49,7 +49,7 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
         except (KeyboardInterrupt, SystemExit, MemoryError):
             raise
         except BaseException as error:
-            # cvxpy hands through whatever its solvers raise, Rust's panics included. Nothing else runs here.
+            # cvxpy passes on arbitrary exceptions of its solvers, including panics of Rust.
             raise BackendFailed(f"{NAME}: {solver}: {type(error).__name__}: {error}") from error
     status = "; ".join([f"{NAME}: {solver}: {model.status}", *words])
     answer = Answer(
@@ -78,7 +78,7 @@ def _solver(cp: Any, name: Any) -> str:
 
 
 def _options(solver: str, settings: Settings) -> dict[str, Any]:
-    """Return the solver's keyword arguments, as the table of backends has them; none of a solver that is not in it."""
+    """Return the solver's keyword arguments from the table of backends, empty for solvers that are not in it."""
     for backend in BACKENDS:
         if backend.name.upper() == solver:
             return backend_options(backend, replace(settings, options={}))  # `solver` is cvxpy's own

@@ -1,14 +1,14 @@
-"""The primal-dual active set by conjugate gradients, inexact: for bodies too large to factorise.
+"""The inexact primal-dual active set by conjugate gradients, for bodies that are too large to factorise.
 
 On the contacts A that are closed, with all ties, conjugate gradients approach K u = f - E_A'l_A, E_A u = g_A; forces
-come from the residual r = f - K u, l_A = (E_A D^-1 E_A')^-1 E_A D^-1 r. After each step the forces l and the gaps of
-the moment say which contacts they would close and open (Hintermueller, Ito and Kunisch 2003): those with
-l_i + (E u - g)_i / (E_i D^-1 E_i') > 0. What contradicts the set has the energy
+come from the residual r = f - K u, l_A = (E_A D^-1 E_A')^-1 E_A D^-1 r. After each step the current forces l and gaps
+determine the next set (Hintermueller, Ito and Kunisch 2003), the contacts with
+l_i + (E u - g)_i / (E_i D^-1 E_i') > 0. The violations of the current set have the energy
 
     delta^2 = sum of (E_i D^-1 E_i') l_i^2 over tensions + sum of (E u - g)_i^2 / (E_i D^-1 E_i') over penetrations,
 
-and the set is changed as soon as the error r'M r of the displacement on it is not larger than that: what a system of
-an early set is solved to is not better than the set. Only the last set is solved to the end.
+and the set is changed as soon as the error r'M r of the displacement on it is no larger, so that systems of early sets
+are solved no more accurately than needed. Only the last one is solved to the final tolerance.
 """
 
 from __future__ import annotations
@@ -25,44 +25,43 @@ from contactqp.model.arrays import EPS, Indices, Mask, Vector, tell
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 
-# The bodies without contact are solved to this part of their energy norm: the first set comes from them.
+# The relative error in energy of the solution without contact, which gives the first set.
 FIRST = 0.3
-# A set is changed when the error on it is this part of what contradicts it; less where sets come back.
+# A set is changed when the error on it falls below this part of its violations, a smaller one if sets recur.
 TRUST, TIGHTER, LEAST_TRUST = 3.0, 0.1, 1e-6
-# Changes of the set, and steps on one of them, before the method gives up.
+# The most changes of the set, and the most steps on one set.
 SETS, STEPS = 200, 2000
-# A set that has shrunk so many times does so by more than one layer of contacts, of so many at most.
+# After the first number of shrinkings several layers of contacts are opened at once, at most the second number.
 SINGLE_LAYERS, MOST_LAYERS = 2, 64
-# Of the tolerance, on the equilibrium of the last set; and what forces and gaps of the wrong sign may be of it.
+# The tolerance on the equilibrium of the last set relative to that of the call, and on wrong signs relative to that.
 EQUILIBRIUM, SIGN = 0.7, 0.1
 TIGHTEST = 1e-13
-# What is left of the forces that meet at an unknown when their rounding is all that is left.
+# The residual relative to the forces that meet at an unknown, when only rounding is left.
 ROUNDING_OF_RESIDUALS = 4 * EPS
-# What the certificate asks of the equilibrium, whatever the method is asked for.
+# The tolerance of the certificate on equilibrium, independent of that of the method.
 LOOSEST = 1e-9
-# A load of this part of what the known displacement takes is none beside the rounding of that: start from rest.
+# If the load is below this part of the forces of the known displacement, the iteration starts from rest.
 UNLOADED = 1e-4
-# An error in energy larger than this, of the energy of the displacement, is not worth a closer look.
+# With a larger relative error in energy the signs are not examined.
 SETTLED = 1e-4
-# A set that another method goes on from, which changes what is still wrong of it: the error in energy on it, of the
-# energy of the displacement, and steps in all (on membranes of a million nodes it takes 45), beyond which a hierarchy
-# is taken to be of no use.
+# For a set that another method starts from: the relative error in energy, and the most steps in all (45 are needed on
+# membranes of a million nodes), after which the hierarchy is considered unsuitable.
 IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
-# It is of no use, either, where sets grow and shrink in turn: so often, and in so many of them. Of bodies and membranes
-# sets turn up to six times, and in one of three.
+# It is also unsuitable if sets alternately grow and shrink this often and in this part of the steps; on bodies and
+# membranes they do so at most six times and in a third of the steps.
 TURNS, OFTEN = 10, 0.42
-# Forces and lengths of this part of the energy norm of the displacement are nothing
-# (`contactqp.linalg.measures`): a tenth of what the certificate takes for nothing.
+# Forces and lengths below this part of the energy norm of the displacement count as zero (`contactqp.linalg.measures`),
+# a tenth of the certificate's limit.
 NOTHING = 1e-13
-# Error in energy on the set, and its bound, of the energy of the contact forces (of the displacement without them): the
-# certificate shall prove 1e-6.
+# The error in energy on the set, and its bound, relative to the energy of the contact forces (of the displacement
+# without them), so that the certificate can prove 1e-6.
 ENERGY, BOUND = 1e-7, 3e-7
 
 
 def solve_by_iteration(
     problem: Limits, iteration: ContactIteration, settings: Settings, energy: float = ENERGY
 ) -> Candidate:
-    """Find displacement and forces on a set that their signs confirm; `claimed` is False where none was found.
+    """Return displacement and forces on a set that their signs confirm; `claimed` is False if none was found.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ def solve_by_iteration(
 def identified_by_iteration(
     problem: Limits, iteration: ContactIteration, settings: Settings, error: float = IDENTIFIED
 ) -> Candidate | None:
-    """Return a less accurate candidate, whose set another method starts from; None where the iteration takes too long.
+    """Return a less accurate candidate for the start of another method, None if the iteration takes too long.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ def identified_by_iteration(
 
 
 class _Search:
-    """The displacement of the moment, its set, and what it has cost."""
+    """The current displacement, its set, and the cost so far."""
 
     def __init__(
         self,
@@ -141,7 +140,7 @@ class _Search:
         self.closed = self._penetration() > 0
 
     def _loaded(self, candidate: Candidate) -> bool:
-        """Return whether the load is more than rounding of what a known displacement takes."""
+        """Return whether the load exceeds the rounding of the forces of the known displacement."""
         scale, norm = 1 / np.sqrt(self.iteration.diagonal), self.iteration.norm
         taken = norm(scale * self.iteration.product(candidate.answer.displacement))
         return norm(scale * self.problem.load) > UNLOADED * taken
@@ -168,16 +167,16 @@ class _Search:
             self.closed = self.iteration.supported(self.problem, self._following(), self.x)
 
     def _turns(self) -> bool:
-        """Return whether sets grow and shrink in turn, as where rows of many unknowns open and close each other."""
+        """Return whether sets alternately grow and shrink, as with coupled rows of many unknowns."""
         changes = np.sign(np.diff(self.sizes))
         changes = changes[changes != 0]
         turns = np.count_nonzero(changes[1:] != changes[:-1])
         return bool(turns >= TURNS and turns >= OFTEN * len(self.sizes))
 
     def _following(self) -> Mask:
-        """Return the set that the signs lead to; a set that keeps shrinking does so by layers that double.
+        """Return the next set by the signs; a set that keeps shrinking opens twice as many layers each time.
 
-        From the first that goes too far on, half as many at most.
+        After the first overshoot the number of layers is halved and limited.
         """
         iteration = self.iteration
         if iteration.any(self.penetrated):
@@ -210,10 +209,12 @@ class _Search:
         )
 
     def _solve_on_set(self) -> str:
-        """Steps until the set is contradicted ("") or the answer is good enough (FOUND) or something else ends them."""
+        """Iterate until the set is contradicted (""), the answer is accurate enough (FOUND), or return another reason
+        to end.
+        """
         on_set, held, run = self._start_on_set()
         stopped = self._steps_on_set(run, held, on_set)
-        held.close(self.x)  # what rounding has opened on the way
+        held.close(self.x)  # corrects rounding of closed gaps
         self.iteration.learn(run)
         return stopped
 
@@ -246,10 +247,10 @@ class _Search:
             if not self._step(run):
                 if contradicted:
                     return ""
-                return FOUND  # nothing to go along: what is left is rounding, or else the certificate will tell
+                return FOUND  # no search direction, so the residual is rounding or the certificate refuses
 
     def steps_left(self) -> int:
-        """Steps of conjugate gradients that may still be taken."""
+        """Return the remaining number of steps of conjugate gradients."""
         return self._last_step - self.iteration.krylov_iterations
 
     def _step(self, run: ConjugateGradients) -> bool:
@@ -284,7 +285,9 @@ class _Search:
 
 
 class _Goal:
-    """How good the answer on a set has to be; sizes are taken once, when the set is first agreed with."""
+    """The required accuracy of the answer on a set; sizes are computed once, when the signs first agree with the
+    set.
+    """
 
     def __init__(self, search: _Search) -> None:
         iteration = search.iteration
@@ -308,7 +311,7 @@ class _Goal:
             return False
         if self.iteration.any(left > self.equilibrium):
             return False
-        # The bounds let the contacts open: what is left may weigh far more then, on a body that they alone hold well.
+        # The bounds allow contacts to open, where the residual of a body held by them has more energy.
         self.iteration.learn(run)
         share = np.where(self.on_set, self.iteration.own_compliance, 1.0)
         forces = self.iteration.balanced(run.unbalanced, np.where(self.on_set, 1 / share, 0.0))
@@ -328,7 +331,7 @@ def _size(search: _Search) -> float:
         return force_norm(np.where(np.arange(len(force)) < search.m, force, 0.0), search.m, iteration) or _strain(
             search
         )
-    # |l|_W >= l'E v / |v|_K for any v: for the way back to the bodies without contact it is nearly equal.
+    # |l|_W >= l'E v / |v|_K for any v, nearly equal if v is the difference to the displacement without contact.
     back = search.before - search.x
     energy = iteration.dot(back, search.residual - search.residual_before)
     return abs(iteration.dot(force, iteration.lengths(back))) / np.sqrt(energy) if energy > 0 else 0.0

@@ -31,7 +31,7 @@ def solve_lagrange_multiplier(problem: ContactProblem, settings: Settings) -> Ca
 
     (the course chapter, eq. 2.23). The matrix is indefinite and, contrary to what the chapter says of its zero
     diagonal, regular as long as the rows of C are independent and K is positive definite on the motions that C leaves
-    free. Rows that depend on others are left out. The multiplier is the contact force, positive in compression.
+    free. Dependent rows are left out. The multiplier is the contact force, positive in compression.
 
     Raises NotConverged: the closed contacts do not hold the bodies, or ties contradict each other.
     """

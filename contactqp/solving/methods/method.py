@@ -1,4 +1,4 @@
-"""What every method is: a name, what it promises, and a function from a ContactProblem to a Candidate."""
+"""Define a method: a name, its capabilities, and a function from a ContactProblem to a Candidate."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from contactqp.model.solution import Candidate
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a call; a method reads those that concern it."""
+    """The settings of a call, of which a method reads those that apply to it."""
 
     tolerance: float = 1e-9  # relative, on the nondimensional problem
     max_iter: int | None = None
     time_limit: float | None = None  # seconds
     warm_start: Candidate | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)  # those that `Method.options` names
+    options: Mapping[str, Any] = field(default_factory=dict)  # values of the options in `Method.options`
 
     @property
     def now(self) -> Settings:
-        """Return the same settings with what is left of the time of the call."""
+        """Return the settings with the remaining time of the call as limit."""
         left = seconds_left()
         return self if self.time_limit is None or left is None else replace(self, time_limit=min(self.time_limit, left))
 
@@ -37,41 +37,41 @@ class Method:
     name: str
     kind: str  # "active set", "quadratic program", "modelling language", "complementarity", "classical enforcement"
     solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
-    # The same from a condensation alone, in the unknowns that it retains; without it the method is shown the condensed
+    # A function that solves from a condensation, in its retained unknowns; without it the method solves the condensed
     # problem.
     solve_condensed: Callable[[ContactProblem, Condensation, Settings], Candidate] | None = field(
         default=None, repr=False
     )
-    # A frictional problem of the plane by its own systems of stick and slip; without it, what the method can do with
-    # friction is to take the convex steps of an algorithm.
+    # A function for frictional problems in the plane by own systems of stick and slip; without it the method can only
+    # solve the convex steps of an algorithm of friction.
     solve_friction: Callable[[ContactProblem, Settings], Candidate] | None = field(default=None, repr=False)
-    # With friction it is Coulomb's law of bodies with contact springs: its options for the springs' stiffnesses, normal
-    # and tangential.
+    # The options for normal and tangential stiffness, if the method with friction solves Coulomb's law for bodies with
+    # contact springs.
     springs: tuple[str, str] | None = None
     exact: bool = True  # promises the exact answer; otherwise approximate by design
-    polish: bool = False  # its answer is polished on the contact set that it finds
+    polish: bool = False  # whether its answer is polished on its contact set
     corrections: int = (
-        2  # of the contact set that polishing may make: two do not turn a backend into an active-set method
+        2  # changes of the contact set that polishing may make, few, so that the answer remains that of the method
     )
-    scale: bool = False  # wants a nondimensional problem
+    scale: bool = False  # needs a nondimensional problem
     semidefinite: bool = True  # accepts a singular stiffness (bodies held by contact alone)
     sparse: bool = True  # works on sparse matrices without making them dense
     timed: bool = True  # takes a time limit
     options: tuple[str, ...] = ()  # keyword arguments of its own
-    required: tuple[str, ...] = ()  # those that have no default
-    knob: str | None = None  # what trades error for time: "tolerance", "penalty", "perturbation"
+    required: tuple[str, ...] = ()  # options without default
+    knob: str | None = None  # the parameter that trades error for time: "tolerance", "penalty", "perturbation"
     packages: tuple[str, ...] = ()  # importable modules it needs
-    install: str = ""  # the pip command that brings them
+    install: str = ""  # the pip command that installs them
     note: str = ""
 
     @property
     def friction(self) -> str:
-        """Return how it solves friction: "stick and slip" by its own systems, "convex steps" of algorithms, or none."""
+        """Return how it solves friction: "stick and slip" by its own systems, "convex steps" of algorithms, or ""."""
         if self.solve_friction is not None:
             return "stick and slip"
         return "convex steps" if self.exact and self.semidefinite else ""
 
     @property
     def installed(self) -> bool:
-        """Return whether every package it needs can be found (nothing is imported to find out)."""
+        """Return whether every package it needs can be found, without importing any."""
         return all(importlib.util.find_spec(package) is not None for package in self.packages)

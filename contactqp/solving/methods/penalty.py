@@ -48,10 +48,10 @@ def solve_penalty(problem: ContactProblem, settings: Settings) -> Candidate:
 
         (K + E_N' beta E_N) u = f + E_N' beta g        lambda = beta (E_N u - g)
 
-    (the course chapter, eqs 2.25 and 2.26). Ties are no springs: they are enforced by multiplier rows beside this
-    system. The answer is off by the penetration lambda / beta. The arithmetic is the textbook's: lambda is beta times a
-    difference of lengths, so that from beta of about 1e12 the rounding of the gap shows, and at beta = 1e20 lambda is a
-    multiple of beta times the last place of the gap (the 21.684 kN of the chapter's Table 2.1).
+    (the course chapter, eqs 2.25 and 2.26). Ties are enforced by multiplier rows beside this system. The error is the
+    penetration lambda / beta. The arithmetic is the textbook's: lambda is beta times a difference of lengths, so that
+    from beta of about 1e12 the rounding of the gap shows, and at beta = 1e20 lambda is a multiple of beta times the
+    last place of the gap (the 21.684 kN of the chapter's Table 2.1).
 
     Raises InvalidProblem: beta is not positive and finite; NotConverged: the closed contacts do not hold the bodies.
 
@@ -195,7 +195,7 @@ def with_contact_springs(
     springs = sp.diags(np.concatenate([normal, np.repeat(tangential, width)]))
     far = -springs @ rows
     stiffness = sp.bmat([[sp.csr_array(problem.stiffness) + rows.T @ springs @ rows, far.T], [far, springs]])
-    # A contact whose tangential unknowns are all supported cannot slide, on a spring or without.
+    # A contact whose tangential unknowns are all supported cannot slide, with or without a spring.
     slides = sp.diags((np.diff(sp.csr_array(problem.tangent).indptr) > 0).astype(float))
     ahead = sp.hstack([sp.csr_array((m, n)), sp.identity(m), sp.csr_array((m, m * width))])
     aside = sp.hstack([sp.csr_array((m * width, n + m)), slides])
@@ -218,8 +218,8 @@ def with_contact_springs(
 def without_contact_springs(problem: ContactProblem, solution: Solution, name: str = "penalty") -> Solution:
     """Return the solution of `with_contact_springs(problem, ...)` as the penalised solution of `problem`.
 
-    Its certificate is that of `problem`, whose contacts are rigid: it says how far off the springs are. Stick and slip
-    are the sliders'.
+    Its certificate is that of `problem` with rigid contacts, so it measures the error by the springs. Stick and slip
+    are those of the sliders.
     """
     n = problem.dimension
     answer = replace(solution.answer, displacement=solution.answer.displacement[:n])

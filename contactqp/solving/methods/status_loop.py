@@ -1,11 +1,11 @@
-"""The textbook's loop with friction: every contact is open, sticks, or slips one way or the other.
+"""The textbook's active-set loop with friction, in which every contact is open, sticks, or slips one way or the other.
 
-Solve the system of the statuses that are thought right. Then an open contact that penetrates closes and sticks; a
-closed one in tension opens; one that sticks with more friction than mu l_N slips the way it is pushed; one that slips
-against its own friction sticks. Repeat until nothing changes. Where that goes in circles, or so many contacts changed
-that a body came loose, one contact changes at a time, least index first, to a combination that has not been tried;
-where none is left, to what else an earlier step could have become. With several contacts that may take long, and above
-a critical coefficient of friction there may be no answer or several (Klarbring 1990): the first that is met is taken.
+The system of the current statuses is solved. Then an open contact that penetrates closes and sticks, a closed one in
+tension opens, a sticking one with |l_T| > mu l_N slips in the direction of its friction, and a slipping one whose slip
+opposes its friction sticks. This is repeated until nothing changes. If it cycles, or if so many contacts opened that a
+body floats, one contact is changed at a time, the one of least index first, to an untried combination; if none is left,
+the search goes back to an earlier step. With several contacts this may take long, and above a critical coefficient of
+friction there may be no answer or several (Klarbring 1990), of which the first found is taken.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from contactqp.solving.methods.stick_and_slip import (
 from contactqp.solving.methods.textbook_algebra import FloatingBodies, SingularSystem
 from contactqp.solving.methods.textbook_loop import Budget, Sizes, last_candidate
 
-# Contacts that a message names.
+# The most contacts named in a message.
 MOST_NAMES = 8
 
 
@@ -47,7 +47,7 @@ def status_loop(
 ) -> Candidate:
     """Repeat `enforce` on the statuses until they no longer change.
 
-    The first are all open, or where the bodies float freely all stuck; those of `settings.warm_start` that push, stuck.
+    The first statuses are those of `settings.warm_start`, else all open, or all stuck if the bodies float.
 
     Raises NotConverged: the first system is singular, or every one that may follow.
 
@@ -98,10 +98,10 @@ class _Loop:
         self._tangent, self._origin = sp.csr_array(problem.tangent), origins(problem)
         self._friction = coefficients(problem)
         self._budget = Budget(settings, 50 * problem.contacts + 200)
-        self._together: int | None = None  # iterations that changed all wrong contacts, once the loop has ended that
+        self._together: int | None = None  # iterations that changed all wrong contacts, once single changes have begun
         self._tried: set[bytes] = set()
-        self._singular: SingularSystem | None = None  # the first that was met
-        self._ways: list[Iterator[tuple[Status, Mask]]] = []  # what the steps so far could still become
+        self._singular: SingularSystem | None = None  # the first of several
+        self._ways: list[Iterator[tuple[Status, Mask]]] = []  # alternatives of earlier steps
         self.history: list[float] = []
 
     def run(self) -> Candidate:
@@ -131,7 +131,7 @@ class _Loop:
         return found
 
     def _warm_status(self) -> Status:
-        """Return the statuses of a warm start; contacts that push stick unless it states that they slip."""
+        """Return the statuses of a warm start; contacts with force stick unless it states that they slip."""
         warm = self._settings.warm_start
         if warm is None:
             return np.full(self._problem.contacts, OPEN, dtype=np.int8)
@@ -143,13 +143,13 @@ class _Loop:
         return np.where(warm.answer.normal_force > 0, closing, OPEN).astype(np.int8)
 
     def _closing(self) -> Status:
-        """Return the statuses of contacts that close: they stick, or slip without friction."""
+        """Return the statuses of closing contacts, which stick, or slip if they have no friction."""
         return np.where(self._friction > 0, STICK, SLIP_ON).astype(np.int8)
 
     def _next_step(self, step: FrictionalStep, following: Status) -> FrictionalStep | None:
-        """Return the step of the next system; None where all that could be next have been tried."""
+        """Return the step of the next system, None if all alternatives have been tried."""
         if self._together is None:
-            # Where rows are dependent, the contact that has just been seen to penetrate is the one that binds.
+            # Of dependent rows the contact that has just penetrated is kept.
             found = self._untried(following, (step.status != OPEN) | (following == OPEN))
             if found is not None:
                 return found
@@ -160,13 +160,13 @@ class _Loop:
                 found = self._untried(changed, ~newcomer)
                 if found is not None:
                     return found
-            self._ways.pop()  # and back to what else the step before could have become
+            self._ways.pop()  # then go back to alternatives of the previous step
         return None
 
     def _untried(self, status: Status, last: Mask) -> FrictionalStep | None:
-        """Return the system of a status; of dependent rows those of the contacts `last` are left out first.
+        """Return the step of a status, None where it has been tried or is singular.
 
-        None where it has been tried or is singular.
+        Of dependent rows those of the contacts `last` are left out first.
         """
         if status.tobytes() in self._tried:
             return None
@@ -193,7 +193,7 @@ class _Loop:
         return self._enforce(status, preference)
 
     def _following(self, step: FrictionalStep) -> Status:
-        """Return the status that every contact should have by this answer; it changes by more than rounding only."""
+        """Return the status of every contact by the signs of this answer; violations within rounding change nothing."""
         problem, status, friction = self._problem, step.status, self._friction
         if problem.contacts == 0:
             return status
@@ -211,7 +211,7 @@ class _Loop:
         slip = self._tangent @ u - self._origin
         stuck, slides = status == STICK, (abs(status) == 1) & (friction > 0)
         beyond = stuck & (abs(tangential) > friction * np.maximum(normal, 0.0) + drag + friction * push)
-        # A dependent tangential row was left out: the contact slips although it was to stick.
+        # The tangential row was dependent and left out, so the contact slips although it should stick.
         loose = stuck & (tangential == 0) & (abs(slip) > shift)
         against = slides & (status * (slip - self._compliance * tangential) < -(shift + self._compliance * drag))
         found = status.copy()
@@ -240,7 +240,9 @@ class _Loop:
 
 
 def _one_by_one(step: FrictionalStep, following: Status) -> Iterator[tuple[Status, Mask]]:
-    """Yield statuses in which one wrong contact changes, and which: first as its signs ask, then in other ways."""
+    """Yield statuses in which one wrong contact is changed, and that contact, first by its signs, then to other
+    states.
+    """
     wrong = np.flatnonzero(following != step.status)
     pushed = np.where(step.friction < 0, SLIP_BACK, SLIP_ON)
     ways = [following, pushed, -pushed, np.full_like(following, STICK), np.full_like(following, OPEN)]

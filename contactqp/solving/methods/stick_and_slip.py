@@ -1,11 +1,11 @@
-"""Stick and slip in the plane as rows of equations: the course chapter's section 2.4, its signs corrected.
+"""Form the equations of stick and slip in the plane by the course chapter's section 2.4, with its signs corrected.
 
-A closed contact holds E_N u = g. Where it sticks it holds E_T u = o too, o its slip origin. Where it slips, with s = +1
-or -1 the sense of the slip, friction s mu l_N acts on the obstacle along E_T: the contact pushes along
+A closed contact satisfies E_N u = g, and where it sticks also E_T u = o with its slip origin o. Where it slips in the
+direction s = +1 or -1, friction s mu l_N acts on the obstacle along E_T, so that the contact force acts along
 
     E_s = E_N + s mu E_T        (l_N >= 0; the chapter's E_N - s mu E_T, eq. 2.41, belongs to R_N = -l_N <= 0)
 
-and not along the row that it holds, so that the systems of slip are unsymmetric.
+and not along the constrained row E_N, and the systems of slip are unsymmetric.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class FrictionalStep:
     """The answer of one system, for one status of every contact, without forces on open ones."""
 
     answer: Answer
-    status: Status  # (m,) that took part; dependent rows may leave contacts out, which are open then
+    status: Status  # (m,) contacts in the system; those with dependent rows are left out and open
 
     @property
     def friction(self) -> Vector:
@@ -40,7 +40,7 @@ class FrictionalStep:
         return forces
 
 
-# The status of every contact, and an order of preference among those that are closed should rows be dependent.
+# A function of the statuses, and of an order of preference of closed contacts with dependent rows.
 FrictionalEnforcement = Callable[[Status, Indices], FrictionalStep]
 
 
@@ -78,7 +78,7 @@ class StatusRows:
 
     @property
     def of_contacts(self) -> slice:
-        """Return the rows that are no ties."""
+        """Return the rows of contacts, without ties."""
         return slice(self.ties.size, None)
 
     def per_row(self, normal: Vector, tangential: Vector) -> Vector:
@@ -98,10 +98,10 @@ class StatusRows:
 def status_rows(
     name: str, problem: ContactProblem, status: Status, preference: Indices, *, independent: bool
 ) -> StatusRows:
-    """Return the equations of a status, with `independent` without contact rows that follow from those before them.
+    """Return the equations of a status, with `independent` without contact rows that depend on earlier ones.
 
-    Of dependent ties the first are kept always. A closed contact whose normal row is left out is open; one that sticks
-    and whose tangential row is left out carries no friction.
+    Of dependent ties the first are always kept. A closed contact without normal row is open; a sticking one without
+    tangential row has no friction.
 
     Raises NotConverged: ties contradict each other.
 
@@ -138,7 +138,7 @@ def _stacked(*parts: Matrix) -> Matrix:
 
 
 def frictional_springs(rows: StatusRows, beta: Vector) -> tuple[Matrix, Vector]:
-    """Return K + P' beta H and f + P' beta q: rows H u = q hold, P are those along which they push, beta (r,)."""
+    """Return K + P' beta H and f + P' beta q: rows H u = q are constrained, forces act along P, beta (r,)."""
     problem, contacts = rows.problem, rows.of_contacts
     weighted = rows.pushed[contacts].T @ sp.diags(beta)
     spring = sp.csr_array(weighted @ rows.held[contacts])
@@ -168,6 +168,6 @@ def spring_stiffnesses(
 
 
 def refuse_tangential_penalty(name: str, settings: Settings) -> None:
-    """Raise on an option that a problem without friction has no use for."""
+    """Raise InvalidProblem if the option is given for a problem without friction."""
     if settings.options.get("tangential_penalty") is not None:
         raise InvalidProblem(f"{name}: tangential_penalty was given, and the problem has no friction")

@@ -1,4 +1,4 @@
-"""The linear algebra that the five classical enforcements share: systems of equations and independent constraints."""
+"""The common linear algebra of the five classical methods: systems of equations and independent constraints."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
 
-# What a chain of a few hundred rounded additions can make of zero, relative to the size of its terms.
+# The rounding error of a few hundred additions, relative to the size of the terms.
 TEXTBOOK_ROUNDING = 1e3 * EPS
-# Values of ties that repeat others are often decimals: they agree to this part of their size, or contradict.
+# The values of dependent ties must agree to this part of their size, since they are often rounded decimals.
 CONTRADICTION = 1e-9
 
 
@@ -31,7 +31,7 @@ class SingularSystem(NotConverged):
 def binding_rows(
     name: str, problem: ContactProblem, closed: Mask, preference: Indices
 ) -> tuple[Matrix, Vector, Indices, Indices]:
-    """Return the rows of the ties and of the closed contacts, without those that follow from others.
+    """Return independent rows of the ties and the closed contacts.
 
     Ties come first, then the closed contacts in the order of `preference`; a row that depends on those before it is
     left out, and its multiplier is zero.
@@ -63,12 +63,12 @@ def binding_rows(
 
 
 def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> None:
-    """Refuse ties that follow from the `kept` ones and do not agree with them: b_i = c'b where A_i = c'A.
+    """Refuse ties that depend on the `kept` ones, A_i = c'A, with contradicting values, b_i != c'b.
 
-    Judged by the ties' own values, |b_i - c'b| against |b_i| + |c|'|b|: the displacements may all vanish. Rows
-    are taken of length one. Rounding of the largest c_j may be all that there is of a c_j that is zero, and counts.
+    The difference |b_i - c'b| is compared with |b_i| + |c|'|b|, as displacements may vanish. Rows have unit length.
+    Each |c_j| includes the rounding error of the largest one.
 
-    Raises NotConverged: they do not.
+    Raises NotConverged: the values contradict each other.
     """
     dropped = np.setdiff1d(np.arange(problem.ties), kept)
     if dropped.size == 0:
@@ -91,7 +91,7 @@ def independent_rows(rows: Matrix) -> Indices:
         return np.arange(count)
     unit = rows[:, np.unique(rows.indices)].toarray()
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    # Unit rows whose Gram matrix is this far from singular are independent; the common case, decided by one product.
+    # Unit rows are independent if their Gram matrix is this far from singular, which one product shows in most cases.
     off_diagonal = np.abs(unit @ unit.T).sum(axis=1) - 1.0
     if np.all(off_diagonal < 0.5):  # Gershgorin
         return np.arange(count)
@@ -193,8 +193,8 @@ def solve_bordered(
 def solve_linear(name: str, matrix: Matrix, load: Array, *, refined: bool = False) -> Array:
     """Solve matrix x = load by LU with partial pivoting, in the numbers as they are.
 
-    A bad condition alone refuses nothing: rounding is to show as it would in the textbook's own program. Only a matrix
-    that is singular however its rows and columns are scaled is refused.
+    An ill-conditioned matrix is accepted, so that rounding appears as in a textbook program. Only a matrix that is
+    singular for any scaling of rows and columns is refused.
 
     Raises NotConverged: the matrix is singular.
 
@@ -219,14 +219,14 @@ def solve_linear(name: str, matrix: Matrix, load: Array, *, refined: bool = Fals
     return np.asarray(x + solve(load - matrix @ x, False)) if refined else x
 
 
-# Solves for a right-hand side; with the transposed matrix where the second argument is true.
+# A function that solves for a right-hand side, with the transposed matrix if the second argument is true.
 Solver = Callable[[Array, bool], Array]
 
 
 def _dense_lu(matrix: Array) -> Solver | None:
     from scipy.linalg import lapack
 
-    # LAPACK itself rather than scipy.linalg.lu_factor: a zero pivot is a return code here, not a warning.
+    # LAPACK is called directly, as it returns a code for a zero pivot where scipy.linalg.lu_factor warns.
     factors, pivots, zero_pivot = lapack.dgetrf(matrix)
     if zero_pivot:
         return None
@@ -243,15 +243,15 @@ def _sparse_lu(matrix: Matrix) -> Solver | None:
     return lambda load, transposed: np.asarray(factors.solve(load, "T" if transposed else "N"))
 
 
-# Unknowns up to which the inverse is cheaper than importing what estimates its norm.
+# The number of unknowns up to which the inverse is cheaper than importing an estimator of its norm.
 FEW = 10
 
 
 def _hopeless(matrix: Matrix, solve: Solver) -> bool:
     """Return whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, diagonal R and C equilibrating M.
 
-    With them, stiffness beside penalty or beside multiplier rows is not mistaken for singularity. For a symmetric M
-    they are the same.
+    Equilibration prevents that a large range of entries, as of a penalty, is mistaken for singularity. For a symmetric
+    M both are equal.
     """
     n = matrix.shape[0]
     size = abs(matrix)
@@ -267,10 +267,10 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
 
 
 def _norm_of_inverse(matrix: Matrix, solve: Solver, rows: Vector, columns: Vector) -> float:
-    """Return the 1-norm of (R M C)^-1: of a few unknowns by the inverse itself, else Hager's and Higham's estimate."""
+    """Return the 1-norm of (R M C)^-1, for few unknowns from the inverse, else by Hager's and Higham's estimate."""
     n = matrix.shape[0]
     if n <= FEW and not sp.issparse(matrix):
-        # One right-hand side at a time: several wake the threads of OpenBLAS, however small the system is.
+        # One right-hand side at a time, as several would start the threads of OpenBLAS.
         return max(float(np.sum(abs(solve(unit, False) / columns))) for unit in np.diag(1 / rows))
     from scipy.sparse.linalg import LinearOperator, onenormest
 
@@ -292,9 +292,9 @@ def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
     return np.asarray((rows[:, None] * size * columns).max(axis=1))
 
 
-# Parts of a dependent row of unit length, and what such rows feel of unit motions, below this are rounding.
+# Components of a dependent unit row, and products of unit rows with unit motions, below this are rounding errors.
 NEGLIGIBLE = 1e-10
-# Rows that share motions worse conditioned than this do not pass the rounding of one to another.
+# The condition number up to which rows are considered to share the rounding errors of motions.
 PASSED_ON = 1e-6
 
 
@@ -333,7 +333,7 @@ class FloatingBodies:
         return np.asarray(dense / np.where(length > 0, length, 1.0))
 
     def held_by(self, unit_rows: Array) -> bool:
-        """Return whether rows of unit length resist every rigid motion, judged from the motions themselves."""
+        """Return whether unit rows resist every rigid motion."""
         r = self.rigid.shape[1]
         if not r:
             return True
@@ -341,10 +341,9 @@ class FloatingBodies:
         return bool(np.count_nonzero(felt > NEGLIGIBLE) == r)
 
     def carried(self, rows: Any, forces: Vector) -> Vector:
-        """Return the rounding of row forces by that of forces (n,), which floating bodies pass to their contacts.
+        """Return the rounding errors of row forces on floating bodies by those of the forces (n,).
 
-        Each row has the part of the motions that it feels, and what other rows then leave to it: the forces F balance
-        the bodies by (E Z)'F = Z'f, and |pinv (E Z)'| times the rounding of Z'f is theirs.
+        The row forces F balance the bodies by (E Z)'F = Z'f, so that their error is |pinv (E Z)'| times that of Z'f.
         """
         if not self.rigid.shape[1]:
             return np.zeros(rows.shape[0])

@@ -1,16 +1,16 @@
-"""The textbook's active-set loop around the five classical enforcements.
+"""The textbook's active-set loop around the five classical methods of enforcement.
 
-The course chapter turns inequality contact into a sequence of equality problems: solve with the contacts that are
-thought closed; contacts that penetrate come in, contacts in tension go out; repeat until nothing changes. How a closed
-contact is enforced is the only thing in which master-slave, multipliers, penalty, perturbed and augmented Lagrangian
-differ, so each is one function from a set of closed contacts to a `Step`.
+The course chapter solves inequality contact as a sequence of equality problems: solve with the current set of closed
+contacts, close contacts that penetrate, open contacts in tension, and repeat until nothing changes. Master-slave,
+multipliers, penalty, perturbed and augmented Lagrangian differ only in how closed contacts are enforced, so each is one
+function from a set of closed contacts to a `Step`.
 
-The loop can go in circles, or open so many contacts that a body comes loose. From there on the criss-cross method,
-which the textbook does not have, changes one contact at a time: of the contacts whose sign is wrong, the one of least
-index changes sides. Where its row follows from those of closed contacts, the closed contact of least index that stands
-in its way opens for it; where opening it would let a body go, the open contact of least index that the body would run
-into closes instead. No set comes twice in exact arithmetic (Klafszky and Terlaky 1992; den Hertog, Roos and Terlaky
-1993), redundant contacts and floating bodies included; without exchanges it is Murty's method (1974).
+The loop may cycle, or open so many contacts that a body floats. Then the criss-cross method, which is not in the
+textbook, changes one contact at a time: of the contacts with a wrong sign, the one of least index. If its row depends
+on those of closed contacts, the blocking closed contact of least index opens; if opening it would free a body, the open
+contact of least index that the body would meet closes. In exact arithmetic no set recurs (Klafszky and Terlaky 1992;
+den Hertog, Roos and Terlaky 1993), also with redundant contacts and floating bodies; without exchanges it is Murty's
+method (1974).
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from contactqp.solving.methods.textbook_algebra import (
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """The equality problem's answer for one set of closed contacts."""
+    """The answer of the equality problem for one set of closed contacts."""
 
     answer: Answer  # without forces on the open contacts
-    bound: Mask  # (m,) the closed contacts that took part; dependent rows may leave some out
+    bound: Mask  # (m,) the closed contacts in the system, without those with dependent rows
 
     @classmethod
     def on_rows(
@@ -65,7 +65,7 @@ class Step:
         return cls(Answer(displacement, normal, None, spread(force[: ties.size], ties, problem.ties)), bound)
 
 
-# A mask of the closed contacts, and an order of preference among them should their rows be dependent.
+# A function of the mask of closed contacts, and of an order of preference of those with dependent rows.
 Enforcement = Callable[[Mask, Indices], Step]
 
 
@@ -79,7 +79,7 @@ class Sets:
 
     @cached_property
     def bodies(self) -> FloatingBodies:
-        """Return the rigid motions, and the rows that feel them."""
+        """Return the rigid motions and the rows that resist them."""
         return FloatingBodies(self.problem)
 
     def step(self, closed: Mask, preference: Indices) -> Step:
@@ -88,7 +88,7 @@ class Sets:
         Raises
         ------
         SingularSystem
-            The set does not hold the bodies: told from the motions themselves, which rounding may hide in the system.
+            The set does not hold the bodies, judged by their rigid motions, as rounding may hide this in the system.
         """
         if self.bodies.rigid.shape[1]:
             rows = np.vstack([self.bodies.normal[closed], self.bodies.tie])
@@ -106,10 +106,10 @@ class Sets:
         Raises
         ------
         NotConverged
-            No contact can be exchanged: the constraints conflict, or nothing stops a body that the load drives.
+            No contact can be exchanged, as the constraints conflict or the load drives an unsupported body.
         """
         changing = np.arange(len(closed)) == np.flatnonzero(wrong)[0]
-        preference = np.argsort(changing, kind="stable")  # in doubt, it is the one left out
+        preference = np.argsort(changing, kind="stable")  # of dependent rows it is left out
         changed: Mask = closed ^ changing
         if np.any(closed & changing):
             try:
@@ -134,7 +134,7 @@ class Sets:
         return int(blocking[0])
 
     def _next_stop(self, others: Mask, leaving: Mask) -> int:
-        """Return the open contact of least index that the body runs into when contact i alone lets it go."""
+        """Return the open contact of least index that stops the body when contact i opens."""
         rows = np.vstack([self.bodies.normal[others], self.bodies.tie, self.bodies.normal[leaving]]) @ self.bodies.rigid
         opening = np.append(np.zeros(len(rows) - 1), -1.0)
         coordinates = np.linalg.lstsq(rows, opening, rcond=NEGLIGIBLE)[0]
@@ -151,14 +151,14 @@ class Sets:
 
 
 class Budget:
-    """The iterations and seconds that a loop may take, which begins now: the settings', or `most` iterations."""
+    """The limits of a loop that begins now, in iterations (`most` by default) and seconds."""
 
     def __init__(self, settings: Settings, most: int) -> None:
         self._most, self._seconds = settings.max_iter or most, settings.time_limit
         self._started = time.perf_counter()
 
     def spent(self, iterations: int) -> str:
-        """Return the reason why a loop ends after so many iterations, or an empty string."""
+        """Return the reason why a loop must end after `iterations`, or an empty string."""
         if iterations >= self._most:
             return f"stopped after {self._most} iterations"
         if self._seconds is not None and time.perf_counter() - self._started > self._seconds:
@@ -169,7 +169,7 @@ class Budget:
 def last_candidate(
     name: str, step: Step | FrictionalStep, reason: str, history: Sequence[float], together: int | None
 ) -> Candidate:
-    """Return the last step of a loop that ended for a reason; it is claimed where no contact is wrong.
+    """Return the last step of a loop with the reason of its end; it is claimed if no contact has a wrong sign.
 
     `together` is how many iterations changed all wrong contacts at once, None if all did.
 
@@ -221,10 +221,10 @@ class Sizes:
         return np.asarray(meeting)
 
     def noise(self, displacement: Vector, forces: Vector, holds: tuple[Hold, ...]) -> Noise:
-        """Return the rounding of forces and lengths at this displacement (n,) where forces (n,) meet.
+        """Return the rounding errors of forces and lengths at this displacement (n,), for forces (n,) that meet there.
 
-        The rounding of F_k moves unknown k by 16 eps F_k / K_kk, and its neighbours j feel |K_jk| times that. Rows that
-        `holds` say are equations move their unknowns as well.
+        The rounding of F_k changes unknown k by 16 eps F_k / K_kk, and the forces at its neighbours j by |K_jk| times
+        that. Rows that are equations by `holds` change their unknowns, too.
         """
         diagonal = self.stiffness.diagonal()
         softness = 1.0 / np.where(diagonal > 0, diagonal, np.inf)
@@ -237,8 +237,8 @@ class Sizes:
     def _moved_by(self, rows: Any, limits: Vector, held: Mask, displacement: Vector) -> Vector:
         """Return the displacement (n,) by rounding of E_i u = g_i: 16 eps (|E_i||u| + |g_i|) D_j^2 |E_ij| / |E_i D|^2.
 
-        That is the least motion, in unknowns where the stiffness has a unit diagonal, which makes up for it. An unknown
-        that should be zero may have no other size than this, where neither force nor stiffness is.
+        It is the least displacement that corrects this error, in unknowns where the stiffness has a unit diagonal. For
+        an unknown that should be zero, without force and stiffness, it may be the only measure of size.
         """
         sizes, softness = row_sizes(self.problem, rows), self.bodies.scale**2
         compliance = rows.power(2) @ softness
@@ -260,7 +260,7 @@ class Noise:
     def of_forces(self, rows: Any) -> Vector:
         """Return the noise (r,) of the forces of rows: the least noise at one of a row's unknowns j, over |E_ij|.
 
-        A force of zero may be all that meets at an unknown without stiffness: eps^2 of the largest is left of it.
+        At an unknown without stiffness and forces, eps^2 of the largest force is used.
         """
         entries = abs(rows).tocoo()
         noise = np.full(rows.shape[0], np.inf)
@@ -283,7 +283,8 @@ def active_set_loop(
     enforce: Enforcement,
     stiffness: float | Vector = 0.0,
 ) -> Candidate:
-    """Repeat `enforce` on the set of closed contacts until it no longer changes; one contact at a time after a cycle.
+    """Repeat `enforce` on the set of closed contacts until it is constant, changing one contact at a time after a
+    cycle.
 
     The first set is that of the contacts penetrated in the free solution; of all contacts where the bodies float
     freely, so that there is no free solution.
@@ -322,7 +323,7 @@ class _Loop:
         self._sets = Sets(name, problem, enforce)
         self._stiffness, self._sizes = stiffness, Sizes.of(problem, self._sets.bodies)
         self._budget = Budget(settings, 50 * problem.contacts + 200)
-        self._textbook_steps: int | None = None  # how many there were, once the loop goes one contact at a time
+        self._textbook_steps: int | None = None  # their number, once single changes have begun
         self._seen: set[bytes] = set()
         self.history: list[float] = []
 
@@ -354,7 +355,7 @@ class _Loop:
                 following = self._sets.step((step.bound & ~outgoing) | incoming, preference)
                 if following.bound.tobytes() not in self._seen:
                     return following
-            except SingularSystem:  # too many contacts were opened at once
+            except SingularSystem:  # too many contacts opened at once
                 pass
             self._textbook_steps = len(self.history)
             self._seen = {step.bound.tobytes()}
