@@ -40,6 +40,8 @@ from contactqp.model.solution import Answer
 WITHIN_ROUNDING = 8 * EPS
 # Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
 SHIFT_CORRECTIONS = 3
+# Of a room that is 1 where there is any.
+NO_ROOM = 0.5
 # Forces that are so many times those that act press against each other.
 PRESSED = 1e3
 # Forces beneath this part of the largest may be what refinement has left.
@@ -71,7 +73,7 @@ def shift_to_least_norm(
     -------
     shift : (n,) array [length]
     free : (n, q) array
-        An orthonormal basis of the free motions.
+        An orthonormal basis of the free motions; those that contacts without a force block either way are none.
     """
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), condensation.rigid.motions
@@ -89,7 +91,30 @@ def shift_to_least_norm(
         return free @ shift, free
     gap = problem.gap - problem.normal @ answer.displacement
     moved = free @ shift_within_gaps(rows[stays], gap[stays], shift)
-    return _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays)), free
+    shift = _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays))
+    room = problem.gap - problem.normal @ (answer.displacement + shift)
+    length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement + shift)
+    blocked = _blocked_either_way(problem.normal[stays & (room <= WITHIN_ROUNDING * length)] @ basis)
+    return shift, orthonormal(basis @ blocked) if blocked is not None else free
+
+
+def _blocked_either_way(rows: Array) -> Array | None:
+    """Return the motions (q, r) that rows (p, q) of contacts that touch leave; None where they block none either way.
+
+    Of all a with rows a <= 0 a row has rows_i a = 0 throughout where others oppose it, as two walls do that touch from
+    both sides: those rows are the ones for which a linear program finds no room, max sum s, rows a + s <= 0, s <= 1.
+    """
+    count, dimension = rows.shape
+    if count < 2:
+        return None
+    unit = rows / np.linalg.norm(rows, axis=1)[:, None]
+    cost = np.concatenate([np.zeros(dimension), -np.ones(count)])
+    bounds = [(None, None)] * dimension + [(0.0, 1.0)] * count
+    found = highs(cost, A_ub=np.hstack([unit, np.eye(count)]), b_ub=np.zeros(count), bounds=bounds)
+    if found is None or np.all(found.x[dimension:] > NO_ROOM):
+        return None
+    values, rotation = right_singular(unit[found.x[dimension:] <= NO_ROOM])
+    return np.asarray(rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 
 def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: Indices) -> Vector:

@@ -339,9 +339,11 @@ def test_where_there_is_no_equilibrium_its_proof_is_handed_on(load: list[float])
     assert caught.value.proof is not None
 
 
-def test_a_motion_that_is_held_where_floats_leave_it_proves_no_absence() -> None:
-    """Three feet in pyramids of friction: the values of motions that are held miss what touches by a rounding."""
+def test_motions_that_contacts_without_force_block_prove_no_absence() -> None:
+    """Three feet in pyramids of friction: no motion is free, and held at values of floats they would miss contacts."""
     problem = family("pyramids_of_feet", 1)
     assert cq.exact(problem, enclose=False).displacement is not None
-    with pytest.raises(cq.NotCertified, match="free motions that are held where floats leave them miss contacts"):
+    with pytest.raises(
+        cq.NotCertified, match="the stiffness, with the contacts that push, is not proven to be positive definite"
+    ):
         cq.exact(problem, enclose=True)

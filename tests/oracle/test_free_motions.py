@@ -83,3 +83,26 @@ def test_holding_that_carries_more_than_rounding_is_refused() -> None:
         carried(held, replace(refined, tie_force=pushed), radius)
     with pytest.raises(cq.NotCertified, match="take"):
         carried(held, refined, np.full(3, np.nan))
+
+
+@pytest.mark.parametrize("stiffness", [[[1.0, -1.0], [-1.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
+def test_a_motion_that_two_contacts_without_force_block_is_not_free(stiffness: list[list[float]]) -> None:
+    """Both move by (1, 1) only, contact 1 forbids it to the left and contact 2 to the right: u = (0.5, -1.5)."""
+    load = [-2.0, 2.0] if stiffness[0][0] else [-4.0, 4.0]
+    problem = cq.ContactProblem(stiffness, load, [[-2.0, 2.0], [-2.0, -2.0], [0.0, 2.0]], [-4.0, 2.0, -3.0])
+    solution, exact = cq.solve(problem), cq.exact(problem)
+    assert solution.displacement == pytest.approx([0.5, -1.5], rel=1e-14)
+    assert not solution.free_motions
+    assert not exact.free_motions
+    roomy = problem.replace(gap=[-4.0, 2.5, -3.0])
+    assert len(cq.solve(roomy).free_motions) == len(cq.exact(roomy).free_motions) == 1
+
+
+def test_rows_that_oppose_each_other_along_free_motions_alone_block_them_too() -> None:
+    """No forces of contacts 0 and 2 balance each other, for the spring between the unknowns feels them."""
+    problem = cq.ContactProblem(
+        [[2.0, -2.0], [-2.0, 2.0]], [0.0, 0.0], [[0.0, -2.0], [-1.0, -1.0], [2.0, -1.0]], [2.0, 2.0, -1.0]
+    )
+    assert cq.solve(problem).displacement == pytest.approx([-1.0, -1.0], rel=1e-14)
+    assert not cq.solve(problem).free_motions
+    assert not cq.exact(problem).free_motions

@@ -350,6 +350,7 @@ def balanced(
         motions = _free_motions(data, found)
     if motions.ncols():
         u = _rested(data, u, motions)
+        motions = _left_by_gaps(data, u, motions)
     answer = found.system.answer(u, found.forces)
     if next(wrong(data, answer), None) is not None:
         return None
@@ -370,6 +371,20 @@ def _rested(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
     felt = [i for i, row in enumerate(rows.tolist()) if any(x != 0 for x in row)]
     family = Family(u, motions, take(data.gap(u), felt), -1 * take(rows, felt))
     return u + motions * family.least()
+
+
+def _left_by_gaps(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
+    """Return the motions (n, r) that are left where contacts which touch at u block others from both sides.
+
+    The gap of such a contact is zero at every displacement that the motions reach within all gaps.
+    """
+    rows, gap = data.E * motions, data.gap(u)
+    touching = [i for i, row in enumerate(rows.tolist()) if gap[i, 0] == 0 and any(x != 0 for x in row)]
+    slope = -1 * take(rows, touching)
+    nothing = zeros(len(touching), 1)
+    reached = Family(nothing, slope, nothing, slope).ranges(range(len(touching))) if len(touching) > 1 else []
+    blocking = [i for i, (_, most) in zip(touching, reached, strict=False) if most == 0]
+    return motions * null_space(take(rows, blocking)) if blocking else motions
 
 
 # All 4^3 combinations are tried in some ten milliseconds; of more contacts only where the proposal fails.
