@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.analysis.history import SIMULTANEOUS, STEADY, Event
+from contactqp.analysis.history import JUMPS, SIMULTANEOUS, STEADY, Event
 from contactqp.certificate.certificate import holds
-from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria
+from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
@@ -313,8 +313,8 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
         There is none, since every combination fails by far more than rounding: the equilibrium is lost at this load.
     SeveralEquilibria
         Several, and nothing chooses.
-    NotConverged
-        None was found, and one nearly holds, or too many contacts are undecided to try all combinations.
+    NotConverged, Unsupported
+        None was found, and one nearly holds, or too many contacts are undecided to try all; a loose body jumps.
     """
     choices = _choices(system, standing)
     count = number_of_combinations(choices)
@@ -338,6 +338,8 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
             f"follow_path: {at}: no continuation was found, and one choice of open, stick and slip at {names} fails by "
             f"{nearest:.2g} of the rates only, which rounding may have made"
         )
+    if not found and np.isinf(nearest) and np.any(rates.drive):
+        raise Unsupported(JUMPS)
     if not found:
         raise NoEquilibrium(
             f"follow_path: {at}: no continuation: the equilibrium is lost, no choice of open, stick and slip at "
@@ -361,11 +363,9 @@ def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
     """Return by how much the rates of each contact fail, (m,); -inf where a contact has no choice."""
-    coefficient, e = system.coefficient, standing.edge
+    coefficient, e, sticks = system.coefficient, standing.edge, answer.status == STICK
     at_null = answer.worst(coefficient)
-    at_edge = np.where(
-        answer.status == STICK, e * answer.friction - coefficient * answer.normal, -e * answer.slip.astype(float)
-    )
+    at_edge = np.where(sticks, e * answer.friction - coefficient * answer.normal, -e * answer.slip.astype(float))
     return np.where(standing.null, at_null, np.where(e != 0, at_edge, -np.inf))
 
 

@@ -133,11 +133,12 @@ def _ended(path: ExactPath, problem: ContactProblem, start: Vector, end: Vector,
     """
     try:
         path.leg(start, end, leg)
-    except NotConverged as error:
+    except (NotConverged, NoEquilibrium, Unsupported) as error:
         try:
             refuse_driven_motion(problem.replace(load=end), condense(problem).rigid)
         except NoEquilibrium as driven:
-            return NoEquilibrium(f"{error}; at t = {leg + 1}: {driven}", driven.proof)
+            lost = "follow_path:" if isinstance(error, Unsupported) else f"{error};"
+            return NoEquilibrium(f"{lost} at t = {leg + 1}: {driven}", driven.proof)
         return error
     except ContactQPError as error:
         return error
@@ -351,6 +352,8 @@ def _through(
         return path, f"it chooses; {str(error).removeprefix(PREFIX)}"
     except NotConverged as error:
         return path, f"whether it jumps was not found out; {str(error).removeprefix(PREFIX)}"
+    except Unsupported:
+        return path, "it jumps; the load sets a loose body going"
     return path, ""
 
 

@@ -36,6 +36,7 @@ from contactqp.solving.methods import find
 SIMULTANEOUS = 1e-12
 # Rates below this part of the largest are zero.
 STEADY = 1e-12
+JUMPS = "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
 # Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
 TRIED_ONE_BY_ONE = 12
 
@@ -463,9 +464,7 @@ def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Ind
     rates = answer_on(direction, condensation, closed)
     load, inner = condensation.reduce_load(direction.load)
     if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))):
-        raise Unsupported(
-            "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
-        )
+        raise Unsupported(JUMPS)
     return rates
 
 

@@ -337,3 +337,15 @@ def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object], 
         np.testing.assert_allclose(scaled.displacements * d / length, one.displacements, atol=1e-9 * size)
         dissipated = one.energies[-1].dissipated
         np.testing.assert_allclose(scaled.energies[-1].dissipated, dissipated * force * length, rtol=1e-9)
+
+
+@pytest.mark.parametrize("push", [0.0, 0.1])
+def test_a_loose_body_that_the_load_sets_going_jumps_as_it_does_without_friction(push: float) -> None:
+    """A block 0.1 above the floor falls at once: steps find it there, and no choice at a contact is to blame."""
+    block = cq.ContactProblem(np.zeros((2, 2)), [0.0, 0.0], [[0.0, -1.0]], [0.1], [[1.0, 0.0]], friction=0.3)
+    with pytest.raises(cq.Unsupported, match="the load sets a loose body going; give steps instead"):
+        cq.follow_path(block, [[push, -1.0]], events="exact")
+    assert cq.follow_path(block, [[push, -1.0]], steps=2)[-1].gap == pytest.approx([0.0], abs=1e-15)
+    with pytest.raises(cq.NoEquilibrium, match=r"^follow_path: at t = 1: the load drives .* unknown 1 by \+1") as ended:
+        cq.follow_path(block, [[push, 1.0]], events="exact")
+    assert ended.value.proof is not None
