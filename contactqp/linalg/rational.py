@@ -80,6 +80,10 @@ def fractions(column_: fmpq_mat) -> list[Fraction]:
     return [fraction(x) for x in column_.entries()]
 
 
+def fraction_rows(values: fmpq_mat) -> list[list[Fraction]]:
+    return [[fraction(x) for x in row] for row in values.tolist()]
+
+
 def stack(*blocks: fmpq_mat) -> fmpq_mat:
     """Return a matrix of blocks above each other."""
     return fmpq_mat(sum(b.nrows() for b in blocks), blocks[0].ncols(), [x for b in blocks for x in b.entries()])
@@ -101,6 +105,12 @@ def take(rows: fmpq_mat, chosen: Iterable[int]) -> fmpq_mat:
 
 def take_columns(columns: fmpq_mat, chosen: Iterable[int]) -> fmpq_mat:
     return take(columns.transpose(), chosen).transpose()
+
+
+def unit_rows(size: int, places: Iterable[int]) -> fmpq_mat:
+    """Return the rows (q, size) that pick some of so many entries."""
+    chosen = list(places)
+    return fmpq_mat(len(chosen), size, [int(i == j) for i in chosen for j in range(size)])
 
 
 def is_zero(values: fmpq_mat) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from fractions import Fraction
 from typing import Any
@@ -297,6 +298,59 @@ def test_shared_forces_have_bounds_above_the_error_and_reach_as_far_as_answers_s
     assert min(seen["load"], seen["gap"]) >= (seeds[1] - seeds[0]) // 6
     assert seen["ends"] >= 20 * seen["goes on"]
     assert seen["ends"] >= 2
+
+
+def test_exact_rates_are_those_of_all_ways_to_share() -> None:
+    """A node in a corner, and one floor twice, whose first may let go: displacements and the energy have rates."""
+    corner = cq.exact(node([2.0, -3.0], FLOOR, WALL, friction=0.3))
+    moved = corner.derivative("displacement", "gap", [1, 1])
+    assert moved.value.tolist() == [1, -1]
+    assert corner.derivative("reaction", "load", [1, 1]).value.tolist() == [1, 1]
+    assert corner.derivative("normal_force", "load", [1, 1]).reason.endswith(
+        "redundant, and their forces are not unique"
+    )
+    stuck = corner.derivative("displacement", "load", [0, 1])
+    # Upwards, until the floor pushes no more: the wall, which carries 2, holds 0.6 by friction, and the load is -3.
+    assert stuck.reach == (math.inf, 3 + Fraction(0.3) * 2)
+    floors = cq.exact(node([0.0, -3.0], FLOOR, FLOOR))
+    lifted = floors.derivative("displacement", "gap", [1, 0])
+    assert (lifted.left.tolist(), lifted.right.tolist()) == ([0, -1], [0, 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [0, 60])
+def test_exact_rates_where_forces_are_shared_are_those_in_doubles_and_differences_of_exact_answers(first: int) -> None:
+    seen: Counter[str] = Counter()
+    step = Fraction(1, 2**22)
+    for seed in range(first, first + 60):
+        rng = np.random.default_rng(seed)
+        problem = in_corners(rng)
+        if not problem.frictional:
+            continue
+        answer, known = cq.solve(problem), cq.exact(problem, enclose=False)
+        unlike = np.max(abs(np.array(known.displacement, dtype=float) - answer.displacement))
+        if answer.certificate.uniqueness != ("forces not unique",) or unlike > 1e-9 * np.max(abs(answer.displacement)):
+            continue
+        m = problem.contacts
+        along = dict(load=rng.integers(-8, 9, problem.dimension) / 4, gap=rng.integers(-8, 9, m) / 4,
+                     slip_origin=rng.integers(-8, 9, (m, 1)) / 4,
+                     friction=rng.integers(0, 5, m) / 8 * (problem.friction > 0))  # fmt: skip
+        for name, direction in along.items():
+            found, exact = (one.derivative("displacement", name, direction) for one in (answer, known))
+            assert found.right is None or exact.right is not None
+            if exact.right is None:
+                continue
+            for sign, side, true in ((-1, found.left, exact.left), (1, found.right, exact.right)):
+                assert side is None or side == pytest.approx(true.astype(float), abs=1e-9 * max(1, np.max(abs(side))))
+                there = getattr(problem, name) + sign * float(step) * direction
+                moved = rate_of(problem, "displacement", name, there) / (sign * step)
+                assert np.max(abs(moved - true)) <= 1e-4 * max(1, np.max(abs(true)))
+                seen[name] += 1
+            if found.reach is not None:
+                per_step = [[float(1 / end) if end else np.inf for end in pair] for pair in (found.reach, exact.reach)]
+                np.testing.assert_allclose(*per_step, rtol=1e-8, atol=1e-12)
+                seen["reach"] += 1
+    assert min(seen[name] for name in ("load", "gap", "slip_origin", "friction", "reach")) >= 4
 
 
 @pytest.mark.parametrize("blind", [False, True])

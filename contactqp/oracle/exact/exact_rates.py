@@ -7,18 +7,19 @@ Without friction the displacement changes at the rate du that minimises 1/2 du'K
 which is one more problem in rational numbers. Redundant contacts share the force r = f - K u in many ways; then those
 stay closed that push in one of the ways in which l'dg + nu'db is least (Shapiro, SIAM J. Control Optim. 26, 1988).
 
-With friction in the plane contacts keep the states that they are in exactly; those at the border of two states may go
-to either. In each combination rates solve a linear system (`contactqp.analysis.rate_systems` has it); those of one
-whose signs lead to where it says are the answer's.
+With friction in the plane contacts keep the states that they are in exactly; those at the border of two states, and
+those that can share their forces with others, may go to any that their slip admits. Forces are sums of gamma >= 0 times
+the edges E_i + s mu_i T_i of Coulomb's cones, s = +1 and -1 of a contact that sticks and along its slip else. In each
+combination of states whose edges can exert f - K u rates solve a linear system in du, dgamma and dnu, with dgamma >= 0
+where gamma is zero in all ways to exert it; contacts that open do not close, and slips that begin do so along s.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from flint import fmpq, fmpq_mat
@@ -31,19 +32,21 @@ from contactqp.linalg.rational import (
     column,
     dot,
     fraction,
+    fraction_rows,
     fractions,
     is_zero,
     null_space,
     solve_any,
     stack,
     take,
+    unit_rows,
     zeros,
 )
 from contactqp.model.arguments import checked
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, combinations_of, number_of_combinations
-from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
+from contactqp.oracle.exact.exact_solution import ExactDerivative, ExactSolution
 from contactqp.oracle.exact.rational_equilibrium import settle
-from contactqp.oracle.exact.rational_problem import MOST_PIVOTS, Family, RationalProblem, of_floats
+from contactqp.oracle.exact.rational_problem import MOST_PIVOTS, Family, RationalProblem, longest, of_floats, region_of
 
 FORCES = ("normal_force", "friction_force", "tie_force")
 QUANTITIES = (*FORCES, "displacement", "gap", "slip", "reaction", "energy")
@@ -60,21 +63,9 @@ SINGULAR = "in a combination of states that may come the rates are not unique"
 SMOOTH = "no contact has friction: rates by coefficients are those of problems that have some"
 
 
-@dataclass(frozen=True, eq=False)
-class ExactDerivative:
-    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None.
-
-    `reach` are the steps (back, ahead) within which no contact changes its state, infinity where none ever does; None
-    where the answer is not linear along the direction. Where contacts share their forces in many ways, they are those
-    within which all that touch can exert the force that is needed.
-    """
-
-    value: Any
-    left: Any
-    right: Any
-    exists: bool
-    reason: str = ""
-    reach: tuple[Fraction | float, Fraction | float] | None = None
+# States of all contacts, and what data change at.
+States: TypeAlias = tuple[int, ...]
+Along: TypeAlias = dict[str, fmpq_mat]
 
 
 @checked
@@ -115,33 +106,36 @@ class _ExactRates:
         self.answer, self.data = answer, of_floats(answer.problem)
         if self.data.frictional and self.data.width > 1:
             raise Unsupported("exact derivatives: with friction in the plane alone")
-        self.u, self.force = column(answer.displacement), column(answer.normal_force)
-        self.choices = [self._choices(i) for i in range(self.data.contacts)] if self.data.frictional else []
-        if number_of_combinations(self.choices) > MOST:
-            raise Unsupported("exact derivatives: too many contacts at the border of two states")
+        self.u = column(answer.displacement)
         self.sharing = None if self.data.frictional else _sharing_of(answer, self.data)
+        if self.sharing is not None:
+            return
+        if number_of_combinations([self._choices(i) for i in range(self.data.contacts)]) > MOST:
+            raise Unsupported("exact derivatives: too many contacts at the border of two states")
+        widest = (self._choices(i, True) for i in range(self.data.contacts))
+        states = tuple(STICK if STICK in choices else choices[-1] for choices in widest)
+        self.exerted = self.data.f - self.data.K * self.u
+        cones = _cones_that_exert(self.exerted, self.data, states)
+        assert cones is not None  # the answer's own forces are in these
+        self.cones, self.shared = cones, cones.contacts_that_share()
 
-    def _choices(self, i: int) -> tuple[int, ...]:
-        """Return the states that a contact may go to; SLIP_ON where it pushes without friction."""
+    def _choices(self, i: int, shares: bool = False) -> tuple[int, ...]:
+        """Return the states that a contact may go to, as one that shares its force may; SLIP_ON without friction."""
         answer, mu, word = self.answer, self.data.friction[i], self.answer.contact_status[i]
         if word == "open":
             return (OPEN,)
+        grazes = shares or word == "grazing"
         if answer.slip is None or answer.friction_force is None:
-            return (OPEN, SLIP_ON) if word == "grazing" else (SLIP_ON,)
-        if mu == 0:
-            along = SLIP_BACK if answer.slip[i, 0] < 0 else SLIP_ON
-            return (OPEN, along) if word == "grazing" else (along,)
+            return (OPEN, SLIP_ON) if grazes else (SLIP_ON,)
         slip, drag = answer.slip[i, 0], answer.friction_force[i, 0]
-        along = SLIP_ON if slip > 0 else SLIP_BACK
-        if word == "slip":
-            return (along,)
-        if word == "grazing":
-            return (OPEN, along) if slip else (OPEN, STICK, SLIP_ON, SLIP_BACK)
-        if abs(drag) < fraction(mu) * answer.normal_force[i]:
-            return (STICK,)
-        return STICK, SLIP_ON if drag > 0 else SLIP_BACK
+        along = SLIP_BACK if slip < 0 or (slip == 0 and mu and drag < 0) else SLIP_ON
+        if slip or mu == 0:
+            return (OPEN, along) if grazes else (along,)
+        if grazes:
+            return OPEN, STICK, SLIP_ON, SLIP_BACK
+        return (STICK,) if abs(drag) < fraction(mu) * answer.normal_force[i] else (STICK, along)
 
-    def read(self, parameter: str, direction: Any) -> dict[str, fmpq_mat]:
+    def read(self, parameter: str, direction: Any) -> Along:
         """Return load, gap, slip, tie and friction of the rates, as columns, and what a matrix changes."""
         data, problem = self.data, self.answer.problem
         shapes = dict(
@@ -160,51 +154,44 @@ class _ExactRates:
             entries = [Fraction(x) for x in dense.ravel().tolist()]
         except (TypeError, ValueError, OverflowError):
             raise InvalidProblem(f"direction: expected finite numbers, got {shown(direction)}") from None
-        names = dict(load="load", gap="gap", tie_value="tie", friction="friction", slip_origin="slip")
-        sizes = (data.unknowns, data.contacts, data.ties, data.contacts, data.contacts * data.width)
-        along = {name: zeros(size, 1) for name, size in zip(names.values(), sizes, strict=True)}
-        along |= dict(own=zeros(data.unknowns, 1), strained=zeros(data.unknowns, 1))
-        along |= dict(stiffness=zeros(0, data.unknowns), rows=zeros(0, data.unknowns))
+        names = dict(load="own", gap="gap", tie_value="tie", friction="friction", slip_origin="slip")
+        along = {name: zeros(shapes[parameter][0], 1) for parameter, name in names.items()}
+        along |= dict(strained=zeros(data.unknowns, 1), stiffness=zeros(0, data.unknowns), rows=zeros(0, data.unknowns))
         if parameter in names:
             along[names[parameter]] = column(entries)
-            along["own"] = along["load"]
             return along
         along[parameter] = change = fmpq_mat(dense.shape[0], dense.shape[1], column(entries).entries())
-        if parameter == "stiffness":
-            along["load"] = along["strained"] = -(change * self.u)
-        else:
-            along["load"], along["gap"] = -(change.transpose() * self.force), -(change * self.u)
+        along["strained" if parameter == "stiffness" else "gap"] = -(change * self.u)
         return along
 
-    def rates(self, of: str, along: dict[str, fmpq_mat]) -> tuple[Any, Fraction | float | None] | str:
+    def rates(self, of: str, along: Along) -> tuple[Any, Fraction | float | None] | str:
         """Return the exact rates of a quantity towards a direction and how far they reach, or why there are none."""
         if self.sharing is not None:
             return self._without_friction(of, along, self.sharing)
         if any(self._is_still(i) for i, change in enumerate(along["friction"].entries()) if change != 0):
             return "a contact has neither friction nor slip, which friction could act against"
+        choices = [self._choices(i, i in self.shared) for i in range(self.data.contacts)]
+        if number_of_combinations(choices) > MOST or (of in FORCES and not self.cones.only(of)):
+            return REDUNDANT
         found: list[tuple[Any, Fraction | float]] = []
-        for states in combinations_of(self.choices):
-            rates = self._in_states(states, along)
-            if rates is None:
-                continue
-            if not rates["unique"]:
-                return SINGULAR
-            if self._holds(states, rates, along):
-                found.append((rates[of], min(self._events(states, rates), default=math.inf)))
+        for states in combinations_of(choices):
+            rates = self._in_states(states, of, along)
+            if isinstance(rates, str):
+                return rates
+            if rates is not None:
+                found.append(rates)
         if any(np.any(found[0][0] != other) for other, _ in found):
             return "several rates continue the answer"
         if not found:
             return "no rates continue the answer"
-        return found[0][0], min(reach for _, reach in found)
+        return found[0][0], max(reach for _, reach in found)
 
     def _is_still(self, i: int) -> bool:
-        """Return whether a contact that pushes has neither friction nor slip."""
-        slip = self.answer.slip
-        return self.data.friction[i] == 0 and self.force[i, 0] > 0 and slip is not None and slip[i, 0] == 0
+        """Return whether a contact that pushes, or may, has neither friction nor slip."""
+        slip, pushes = self.answer.slip, self.answer.normal_force[i] > 0 or i in self.shared
+        return self.data.friction[i] == 0 and pushes and slip is not None and slip[i, 0] == 0
 
-    def _without_friction(
-        self, of: str, along: dict[str, fmpq_mat], sharing: _Sharing
-    ) -> tuple[Any, Fraction | float | None] | str:
+    def _without_friction(self, of: str, along: Along, sharing: _Sharing) -> tuple[Any, Fraction | float | None] | str:
         """Return the rates of a quantity and how far they reach, or why there are none, without friction."""
         data, touching = self.data, sharing.contacts
         if not is_zero(along["friction"]):
@@ -232,106 +219,184 @@ class _ExactRates:
             return REDUNDANT
         if either.ncols() and (of in ("displacement", "slip") or (of == "gap" and not is_zero(data.E * either))):
             return FREE
-        x, none = [*du.entries(), *ahead.family.start.entries()], [fmpq(0)] * data.contacts
-        rates = self._quantities(x, (list(ahead.contacts), []), ([0] * data.contacts, none), along)
+        normal, forces = zeros(data.contacts, 1), ahead.family.start.entries()
+        for i, push in zip(ahead.contacts, forces, strict=False):
+            normal[i, 0] = push
+        ties = column(forces[len(ahead.contacts) :])
+        rates = self._quantities(du, [normal, zeros(data.contacts * data.width, 1), ties], along)
         if not is_zero(data.E * either):
             return rates[of], None
         gaps = zip(self.answer.gap, rates["gap"], strict=True)
         steps: list[Fraction | float] = [gap / -rate for gap, rate in gaps if gap > 0 > rate]
         return rates[of], min([ahead.reach(least), *steps])
 
-    def _events(self, states: tuple[int, ...], rates: dict[str, Any]) -> Iterator[Fraction]:
-        """Yield the steps at which contacts leave these states; what is at a border already moves away from it."""
-        answer = self.answer
-        for i, state in enumerate(states):
-            pairs = [(answer.gap[i], rates["gap"][i])]
-            if state != OPEN:
-                pairs = [(answer.normal_force[i], rates["normal_force"][i])]
-            mu = fraction(self.data.friction[i])
-            if mu and state == STICK and answer.friction_force is not None:
-                push, change = mu * answer.normal_force[i], mu * rates["normal_force"][i]
-                drag, drags = answer.friction_force[i, 0], rates["friction_force"][i, 0]
-                pairs += [(push - side * drag, change - side * drags) for side in (1, -1)]
-            elif mu and state != OPEN and answer.slip is not None and (answer.normal_force[i] or pairs[0][1]):
-                pairs.append((state * answer.slip[i, 0], state * rates["slip"][i, 0]))
-            yield from (size / -rate for size, rate in pairs if size > 0 > rate)
+    def _in_states(self, states: States, of: str, along: Along) -> tuple[Any, Fraction | float] | str | None:
+        """Return the rates of a quantity in a combination of states and how far they reach, or why there are none.
 
-    def _in_states(self, states: tuple[int, ...], along: dict[str, fmpq_mat]) -> dict[str, Any] | None:
-        """Return the rates in a combination of states, None where its system has none."""
-        data = self.data
-        c, b = ([i for i, s in enumerate(states) if s != OPEN], [i for i, s in enumerate(states) if s == STICK])
-        E, T, A = (_array(part.tolist(), data.unknowns) for part in (data.E, data.T, data.A))
-        signs = [s if abs(s) == 1 else 0 for s in states]
-        pushed = [E[i] + (data.friction[i] * signs[i]) * T[i] if data.width and signs[i] else E[i] for i in c]
-        held = [*(E[i] for i in c), *(T[i] for i in b), *A]
-        acting = [*pushed, *(T[i] for i in b), *A]
-        size = len(held)
-        top = np.concatenate([np.array(data.K.tolist(), dtype=object), _array(acting, data.unknowns).T], axis=1)
-        low = np.concatenate([_array(held, data.unknowns), _array([[fmpq(0)] * size] * size, size)], axis=1)
-        load = along["load"].entries()
-        own = [data.friction[i] * 0 for i in range(data.contacts)]
-        if data.width:
-            own = [along["friction"][i, 0] * self.force[i, 0] * signs[i] for i in range(data.contacts)]
-            dragged = [sum((T[i][j] * own[i] for i in c), fmpq(0)) for j in range(data.unknowns)]
-            load = [x - y for x, y in zip(load, dragged, strict=True)]
-        right = [*load, *(along["gap"][i, 0] for i in c), *(along["slip"][i, 0] for i in b), *along["tie"].entries()]
-        whole = np.concatenate([top, low])
-        system = fmpq_mat(len(whole), len(whole), whole.ravel().tolist())
-        solved = solve_any(system, fmpq_mat(len(right), 1, right))
+        None where the combination cannot exert the forces of the answer, or does not go on doing so.
+        """
+        data, cones = self.data, _cones_that_exert(self.exerted, self.data, states)
+        if cones is None:
+            return None
+        turned, ways = cones.turned(along), cones.family.directions
+        if is_zero(turned * ways):  # however the force is shared, the same is exerted besides
+            ways = zeros(cones.rows.nrows(), 0)
+        n, c = data.unknowns, [i for i, s in enumerate(states) if s != OPEN]
+        b, idle = [i for i, s in enumerate(states) if s == STICK], data.idle_ties
+        held, size = stack(take(data.E, c), take(data.T, b), data.A), cones.rows.nrows()
+        none = unit_rows(size, [len(cones.edges) + tie for tie in idle])
+        system = beside(
+            stack(data.K, held, zeros(len(idle), n)),
+            stack(cones.rows.transpose(), zeros(held.nrows(), size), none),
+            stack(turned * ways, zeros(held.nrows() + len(idle), ways.ncols())),
+        )
+        load = along["own"] + along["strained"] - turned * cones.sizes
+        right = stack(load, take(along["gap"], c), take(along["slip"], b), along["tie"], zeros(len(idle), 1))
+        solved = solve_any(system, right)
         if solved is None:
             return None
-        return self._quantities(solved[0].entries(), (c, b), (signs, own), along) | dict(unique=solved[1])
+        x, more = solved[0], zeros(system.ncols(), 0) if solved[1] else null_space(system)
+        least, matrix = self._conditions(states, cones, along, ways)
+        region = region_of(least + matrix * x, matrix * more)
+        if region.empty:
+            return None
+        if region.ends(fraction_rows(take(more, range(n)))) != []:
+            return REDUNDANT if ways.ncols() else SINGULAR
+        forces = cones.forces(of) if of in FORCES else zeros(0, size)
+        if region.ends(fraction_rows(forces * take(more, range(n, n + size)))) != []:
+            return REDUNDANT
+        x += more * column(region.point())
+        du, sizes, shift = (take(x, part) for part in (range(n), range(n, n + size), range(n + size, x.nrows())))
+        rates = self._quantities(du, [cones.forces(name) * sizes for name in FORCES], along)
+        widened = cones.widened(along) * (cones.sizes + ways * shift)
+        rates["friction_force"] += np.array(fractions(widened), dtype=object)[:, None]
+        return rates[of], min([cones.reach(sizes), *self._events(states, rates)])
 
-    def _quantities(
-        self, x: list[fmpq], places: tuple[list[int], list[int]], law: tuple[list[int], list[fmpq]],
-        along: dict[str, fmpq_mat],
-    ) -> dict[str, Any]:  # fmt: skip
-        data, (c, b), (signs, own) = self.data, places, law
-        n, m = data.unknowns, data.contacts
-        u, normal = fmpq_mat(n, 1, x[:n]), [fmpq(0)] * m
-        for place, i in enumerate(c):
-            normal[i] = x[n + place]
-        found: dict[str, Any] = dict(displacement=_fractions(x[:n]), normal_force=_fractions(normal))
-        found["tie_force"] = _fractions(x[n + len(c) + len(b) :])
-        found["gap"] = np.array(fractions(along["gap"] - data.E * u), dtype=object)
-        found["reaction"] = np.array(fractions(along["own"] + along["strained"] - data.K * u), dtype=object)
+    def _conditions(self, states: States, cones: _Cones, along: Along, ways: fmpq_mat) -> tuple[fmpq_mat, fmpq_mat]:
+        """Return (q, 1) and (q, n + p + k + r): the first plus the second times rates must not be negative.
+
+        They are rates of edges without size, of gaps of contacts that touch and open, of slips that begin, and, where r
+        ways to share the force count, sizes.
+        """
+        data, n, size = self.data, self.data.unknowns, cones.rows.nrows()
+        grow = [n + place for place in range(len(cones.edges)) if not cones.presses(place)]
+        opens = [i for i, state in enumerate(states) if state == OPEN and self.answer.gap[i] == 0]
+        begins = [i for i, state in enumerate(states) if self._begins(i, state)]
+        sides = fmpq_mat(len(begins), len(begins), [states[i] * (i == j) for i in begins for j in begins])
+        motion = stack(-1 * take(data.E, opens), sides * take(data.T, begins))
+        shared = range(len(cones.edges) if ways.ncols() else 0)
+        given = (zeros(len(grow), 1), take(along["gap"], opens), -1 * (sides * take(along["slip"], begins)))
+        return stack(*given, take(cones.sizes, shared)), stack(
+            unit_rows(n + size + ways.ncols(), grow),
+            beside(motion, zeros(motion.nrows(), size + ways.ncols())),
+            beside(zeros(len(shared), n + size), take(ways, shared)),
+        )
+
+    def _begins(self, i: int, state: int) -> bool:
+        """Return whether a contact that has not slipped does so in a state."""
+        slip = self.answer.slip
+        return bool(abs(state) == 1 and self.data.friction[i] and slip is not None and not slip[i, 0])
+
+    def _events(self, states: States, rates: dict[str, Any]) -> Iterator[Fraction]:
+        """Yield the steps at which contacts close, or stop slipping; what is at a border already moves away from it."""
+        answer, mu = self.answer, self.data.friction
+        pairs = list(zip(answer.gap, rates["gap"], strict=True))
+        for i, state in enumerate(states):
+            pushes = answer.normal_force[i] or rates["normal_force"][i] or i in self.shared
+            if mu[i] and abs(state) == 1 and answer.slip is not None and pushes:
+                pairs.append((state * answer.slip[i, 0], state * rates["slip"][i, 0]))
+        yield from (size / -rate for size, rate in pairs if size > 0 > rate)
+
+    def _quantities(self, du: fmpq_mat, forces: list[fmpq_mat], along: Along) -> dict[str, Any]:
+        """Return the rates of all quantities from those of displacements, and of normal, friction and tie forces."""
+        data, m = self.data, self.data.contacts
+        parts = dict(zip(FORCES, forces, strict=True)) | dict(displacement=du, gap=along["gap"] - data.E * du)
+        parts["reaction"] = along["own"] + along["strained"] - data.K * du
+        parts["slip"] = data.T * du - along["slip"]
+        found: dict[str, Any] = {name: np.array(fractions(part), dtype=object) for name, part in parts.items()}
+        found |= {name: found[name].reshape(m, data.width) for name in ("friction_force", "slip")}
         half = along["strained"] * fmpq(1, 2)
-        found["energy"] = fraction(dot(data.K * self.u - data.f, u) - dot(self.u, along["own"] + half))
-        if data.width:
-            drag = [data.friction[i] * signs[i] * normal[i] + (own[i] if i in c else 0) for i in range(m)]
-            for place, i in enumerate(b):
-                drag[i] = x[n + len(c) + place]
-            found["friction_force"] = _fractions(drag).reshape(m, 1)
-            found["slip"] = np.array(fractions(data.T * u - along["slip"]), dtype=object).reshape(m, -1)
-        else:
-            found["friction_force"] = found["slip"] = np.zeros((m, 0), dtype=object)
+        found["energy"] = fraction(dot(data.K * self.u - data.f, du) - dot(self.u, along["own"] + half))
         return found
 
-    def _holds(self, states: tuple[int, ...], rates: dict[str, Any], along: dict[str, fmpq_mat]) -> bool:
-        return all(sign >= 0 for i, s in enumerate(states) for sign in self._signs(i, s, rates, along))
 
-    def _signs(self, i: int, state: int, rates: dict[str, Any], along: dict[str, fmpq_mat]) -> Iterator[Any]:
-        """Yield the quantities that must not be negative if a contact at a border changes to a state."""
-        if len(self.choices[i]) == 1:
-            return
-        grazes = self.answer.contact_status[i] == "grazing"
-        if state == OPEN:
-            yield rates["gap"][i]
-            return
-        if grazes:
-            yield rates["normal_force"][i]
-        if self.data.friction[i] == 0:
-            return
-        room = fraction(self.data.friction[i]) * rates["normal_force"][i]
-        room += fraction(along["friction"][i, 0] * self.force[i, 0])
-        if state == STICK and grazes:
-            yield room - abs(rates["friction_force"][i, 0])
-        elif state == STICK:
-            drag = self.answer.friction_force
-            assert drag is not None
-            yield room - (1 if drag[i, 0] > 0 else -1) * rates["friction_force"][i, 0]
-        elif not grazes or len(self.choices[i]) > 2:
-            yield state * rates["slip"][i, 0]
+@dataclass(frozen=True, eq=False)
+class _Cones:
+    """The edges of the cones that contact forces are in, and all sizes of edges and ties that exert one force."""
+
+    data: RationalProblem
+    edges: tuple[tuple[int, int], ...]  # contact, and the side of its friction
+    rows: fmpq_mat  # (p + k, n) E_i + side mu_i T_i of each edge, and ties
+    family: Family  # sizes (p + k,) of these, of which those of edges are not negative
+    sizes: fmpq_mat  # (p + k, 1) some of them
+
+    def presses(self, place: int) -> bool:
+        """Return whether an edge has a size in one of the ways to exert the force."""
+        return place not in self.family.zero_rooms
+
+    def contacts_that_share(self) -> frozenset[int]:
+        """Return the contacts whose forces are not unique."""
+        size, same = self.rows.nrows(), self.family.are_same
+        return frozenset(i for place, (i, _) in enumerate(self.edges) if not same(unit_rows(size, [place])))
+
+    def forces(self, of: str) -> fmpq_mat:
+        """Return the matrix that takes sizes to normal, friction or tie forces."""
+        count, mu = len(self.edges), self.data.friction
+        if of == "tie_force":
+            return unit_rows(count + self.data.ties, range(count, count + self.data.ties))
+        found = zeros(self.data.contacts, count + self.data.ties)
+        for place, (i, side) in enumerate(self.edges):
+            found[i, place] = fmpq(1) if of == "normal_force" else side * mu[i]
+        return found
+
+    def only(self, of: str) -> bool:
+        """Return whether the forces of one kind are unique."""
+        return self.family.are_same(self.forces(of))
+
+    def widened(self, along: Along) -> fmpq_mat:
+        """Return the matrix that takes sizes to the rates of friction that changed coefficients make.
+
+        A contact that sticks within its cone does so at any coefficient.
+        """
+        found = zeros(self.data.contacts, self.rows.nrows())
+        for place, (i, side) in enumerate(self.edges):
+            other = next((p for p, edge in enumerate(self.edges) if edge == (i, -side)), None)
+            if other is None or not (self.presses(place) and self.presses(other)):
+                found[i, place] = side * along["friction"][i, 0]
+        return found
+
+    def turned(self, along: Along) -> fmpq_mat:
+        """Return the matrix (n, p + k) that takes sizes to the force that they exert besides along a direction."""
+        found = self.widened(along).transpose() * self.data.T
+        if along["rows"].nrows():
+            found += self.forces("normal_force").transpose() * along["rows"]
+        return found.transpose()
+
+    def reach(self, rates: fmpq_mat) -> Fraction | float:
+        """Return the largest step along rates of the sizes (p + k, 1) to which the edges can exert the force."""
+        sizes, rates = (take(part, range(len(self.edges))) for part in (self.sizes, rates))
+        return longest(fractions(sizes), fraction_rows(beside(self.family.slope, rates)))
+
+
+def _cones_that_exert(force: fmpq_mat, data: RationalProblem, states: States) -> _Cones | None:
+    """Return the edges of contacts in some states that exert a force (n, 1) together with ties; None if they cannot."""
+    sides: dict[int, tuple[int, ...]] = {STICK: (1, -1), OPEN: ()}
+    edges = tuple((i, side) for i, state in enumerate(states) for side in sides.get(state, (state,)))
+    normal, tangent = (take(part, [i for i, _ in edges]) for part in (data.E, data.T))
+    drags = [side * data.friction[i] * x for (i, side), row in zip(edges, tangent.tolist(), strict=True) for x in row]
+    rows = stack(normal + fmpq_mat(len(edges), data.unknowns, drags), data.A)
+    count, idle = len(edges), data.idle_ties
+    acting = stack(rows.transpose(), unit_rows(rows.nrows(), [count + tie for tie in idle]))
+    solved = solve_any(acting, stack(force, zeros(len(idle), 1)))
+    if solved is None:
+        return None
+    start, directions = solved[0], zeros(rows.nrows(), 0) if solved[1] else null_space(acting)
+    room, slope = (take(part, range(count)) for part in (start, directions))
+    region = region_of(room, slope)
+    if region.empty:
+        return None
+    sizes = start + directions * column(region.point())
+    return _Cones(data, edges, rows, Family(start, directions, room, slope), sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,14 +409,14 @@ class _Sharing:
     @property
     def pushing(self) -> list[int]:
         """Return the contacts that push in one of the ways to share the force."""
-        ends = self.family.ranges(range(len(self.contacts)))
-        return [i for i, (_, most) in zip(self.contacts, ends, strict=True) if most is None or most > 0]
+        ends = zip(self.contacts, self.family.ranges(range(len(self.contacts))), strict=True)
+        return [i for i, (_, most) in ends if most is None or most > 0]
 
     def only(self, of: str) -> bool:
         """Return whether there is only one such normal or tie force; friction there is none."""
         count, size = len(self.contacts), int(self.family.start.nrows())
         entries = dict(normal_force=range(count), tie_force=range(count, size)).get(of, range(0))
-        return all(least == most and least is not None for least, most in self.family.ranges(entries))
+        return self.family.are_same(unit_rows(size, entries))
 
     def least(self, cost: fmpq_mat) -> _Sharing | None:
         """Return the ways in which the product of the forces with a cost (q + k, 1) is least; None if there is none."""
@@ -359,9 +424,8 @@ class _Sharing:
         slope = one * family.directions
         if is_zero(slope):
             return self
-        room = [fraction(x) for x in family.room.entries()]
-        ways = Polyhedron(room, _rows_of(family.slope), int(slope.ncols()))
-        at, _ = ways.range(_rows_of(slope)[0])
+        ways = Polyhedron(fractions(family.room), fraction_rows(family.slope), int(slope.ncols()))
+        at, _ = ways.range(fraction_rows(slope)[0])
         if at is None:
             return None
         start, room_there = (part + move * column(at) for part, move in (
@@ -372,24 +436,15 @@ class _Sharing:
 
     def exert_one(self, turn: fmpq_mat) -> bool:
         """Return whether turned rows (q, n) of the contacts exert one force, however they share it."""
-        family = self.family
-        rooms = Family(family.room, family.slope, family.room, family.slope).ranges(range(family.room.nrows()))
-        none = [place for place, (_, most) in enumerate(rooms) if most == 0]
-        ways = take(family.directions, range(len(self.contacts))) * null_space(take(family.slope, none))
-        return is_zero(turn.transpose() * ways)
+        size = self.family.start.nrows()
+        return self.family.are_same(turn.transpose() * unit_rows(size, range(len(self.contacts))))
 
     def reach(self, before: _Sharing) -> Fraction | float:
         """Return the largest step x along which forces `before` + x times these push."""
         place = {i: p for p, i in enumerate(before.contacts)}
-        at = [place[i] for i in self.contacts]
-        start = [fraction(before.family.start[p, 0]) for p in at]
-        moved = _rows_of(self.family.directions)[: len(at)]
-        rates = [fraction(x) for x in self.family.start.entries()]
-        slopes = [[*row, rate] for row, rate in zip(moved, rates, strict=False)]
-        size = int(self.family.directions.ncols()) + 1
-        step = [Fraction(0)] * (size - 1) + [Fraction(1)]
-        _, most = Polyhedron([*start, Fraction(0)], [*slopes, step], size).range(step)
-        return math.inf if most is None else most[-1]
+        start = take(before.family.start, [place[i] for i in self.contacts])
+        ways = take(beside(self.family.directions, self.family.start), range(len(self.contacts)))
+        return longest(fractions(start), fraction_rows(ways))
 
 
 def _sharing_of(answer: ExactSolution, data: RationalProblem) -> _Sharing:
@@ -406,14 +461,13 @@ def _shared(data: RationalProblem, contacts: tuple[int, ...], start: fmpq_mat, p
     """
     size, places = int(start.nrows()), list(pushing_only)
     rows = stack(take(data.E, contacts), data.A)
-    unit = fmpq_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-    idle = [place for place in range(len(contacts), size) if is_zero(take(rows, [place]))]
-    directions = null_space(stack(rows.transpose(), take(unit, idle)))
+    idle = [len(contacts) + tie for tie in data.idle_ties]
+    directions = null_space(stack(rows.transpose(), unit_rows(size, idle)))
     return _Sharing(contacts, Family(start, directions, take(start, places), take(directions, places)))
 
 
 def _minimal(
-    data: RationalProblem, load: fmpq_mat, along: dict[str, fmpq_mat], least: _Sharing
+    data: RationalProblem, load: fmpq_mat, along: Along, least: _Sharing
 ) -> tuple[fmpq_mat, _Sharing, fmpq_mat] | None:
     """Return the rates of displacements without friction, those of forces, and motions (n, r) that may be added.
 
@@ -441,22 +495,6 @@ def _minimal(
     pushes = dict(zip([*others, *closed], [*found.answer.normal_force.entries(), *ties[data.ties :]], strict=True))
     apart = (gap - data.E * du).entries()
     touching = tuple(i for i in least.contacts if apart[i] == 0)
-    forces = _column([*(pushes[i] for i in touching), *ties[: data.ties]])
+    forces = column([*(pushes[i] for i in touching), *ties[: data.ties]])
     free = [place for place, i in enumerate(touching) if i not in closed]
     return du, _shared(data, touching, forces, free), found.motions
-
-
-def _rows_of(values: fmpq_mat) -> list[list[Fraction]]:
-    return [[fraction(x) for x in row] for row in values.tolist()]
-
-
-def _array(rows: list[Any], columns: int) -> Any:
-    return np.array(rows, dtype=object).reshape(len(rows), columns)
-
-
-def _column(values: list[fmpq]) -> fmpq_mat:
-    return fmpq_mat(len(values), 1, values)
-
-
-def _fractions(values: list[fmpq]) -> Fractions:
-    return np.array([fraction(x) for x in values], dtype=object)

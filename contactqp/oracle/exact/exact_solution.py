@@ -124,6 +124,23 @@ class ExactEvent:
 
 
 @dataclass(frozen=True, eq=False)
+class ExactDerivative:
+    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None.
+
+    `reach` are the steps (back, ahead) within which no contact changes its state, infinity where none ever does; None
+    where the answer is not linear along the direction. Where contacts share their forces in many ways, they are those
+    within which all that touch can exert the force that is needed.
+    """
+
+    value: Any
+    left: Any
+    right: Any
+    exists: bool
+    reason: str = ""
+    reach: tuple[Fraction | float, Fraction | float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class ExactSolution(AnswerOf[Fractions, Fractions | None], ReadOnly):
     """The equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f in numbers that are proven; signs and shapes of `Solution`.
 

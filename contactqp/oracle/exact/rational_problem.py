@@ -13,22 +13,27 @@ is no solution.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from flint import fmpq, fmpq_mat
 
-from contactqp.linalg.exact_algebra import Polyhedron
+from contactqp.linalg.exact_algebra import Polyhedron, Region
 from contactqp.linalg.rational import (
     NoSolution,
     Undecided,
     beside,
     column,
     fraction,
+    fraction_rows,
+    fractions,
     from_fraction,
     independent_rows,
+    is_zero,
     matrix,
     null_space,
     rational,
@@ -81,6 +86,11 @@ class RationalProblem:
     def width(self) -> int:
         """Return the number of tangential rows of a contact, d - 1."""
         return int(self.T.nrows()) // self.contacts if self.contacts else 0
+
+    @property
+    def idle_ties(self) -> list[int]:
+        """Return the ties whose rows are zero, which exert nothing."""
+        return [tie for tie in range(self.ties) if is_zero(take(self.A, [tie]))]
 
     def gap(self, u: fmpq_mat) -> fmpq_mat:
         """Return the gaps g - E_N u (m, 1) of a displacement [length]."""
@@ -333,10 +343,19 @@ class Family:
         push, _ = lemke(self.slope * pull, room, MOST_PIVOTS)
         return free + pull * fmpq_mat(len(push), 1, push)
 
+    @cached_property
+    def zero_rooms(self) -> frozenset[int]:
+        """The places of rooms w that are zero for all members."""
+        rooms = Family(self.room, self.slope, self.room, self.slope).ranges(range(self.room.nrows()))
+        return frozenset(place for place, (_, most) in enumerate(rooms) if most == 0)
+
+    def are_same(self, rows: fmpq_mat) -> bool:
+        """Return whether the products of rows (q, n) with x are the same for all members."""
+        return is_zero(rows * (self.directions * null_space(take(self.slope, sorted(self.zero_rooms)))))
+
     def ranges(self, entries: Iterable[int]) -> list[Range]:
         """Return the least and the largest value of each entry of x, None where it is unbounded; a member exists."""
-        slopes = [[fraction(x) for x in row] for row in self.slope.tolist()]
-        rooms = [fraction(x) for x in self.room.entries()]
+        slopes, rooms = fraction_rows(self.slope), fractions(self.room)
         # A condition that no direction changes is met or there is no member.
         kept = [i for i, slope in enumerate(slopes) if any(slope)]
         region = Polyhedron([rooms[i] for i in kept], [slopes[i] for i in kept], int(self.directions.ncols()))
@@ -350,6 +369,22 @@ class Family:
             ]
             found.append((ends[0], ends[1]))
         return found
+
+
+def region_of(room: fmpq_mat, slope: fmpq_mat) -> Region:
+    """Return the coordinates with which room (q, 1) + slope (q, r) times them is not negative."""
+    return Region(list(zip(fractions(room), fraction_rows(slope), strict=True)), int(slope.ncols()))
+
+
+def longest(rooms: list[Fraction], slopes: list[list[Fraction]]) -> Fraction | float:
+    """Return the largest last coordinate with which rooms (q,) + slopes (q, r) times coordinates are not negative.
+
+    It is not negative, and infinite where there is no largest; zeros are such coordinates.
+    """
+    size = len(slopes[0]) if slopes else 1
+    step = [Fraction(0)] * (size - 1) + [Fraction(1)]
+    _, most = Polyhedron([*rooms, Fraction(0)], [*slopes, step], size).range(step)
+    return math.inf if most is None else most[-1]
 
 
 def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
