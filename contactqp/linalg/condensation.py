@@ -51,20 +51,20 @@ from contactqp.model.arrays import CONDENSE, EPS, RUNNING, TINY, Array, Indices,
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import csr_rows
 
-# A diagonal of which condensation leaves less than this is mostly rounding: the unknown hangs on a rigid body.
+# A diagonal entry reduced by condensation to less than this is mostly rounding, as on a rigid body.
 NOTHING_LEFT = 1e-8
-# Loads inside a body that cancel to this part of them on the contacts are measured by their sizes.
+# Interior loads whose condensed sum falls below this part of them are measured by their absolute values.
 CANCELLED = 1e-4
-# Rounding of S in its diagonal is about this, times the condition of K_ii, times what of the diagonal went.
+# Rounding of the diagonal of S is about this times the condition of K_ii and the part of the diagonal that cancels.
 LOST_DIGITS = 8 * EPS
-# Rounding of a condensed stiffness, relative to its diagonal: anything more negative was negative before.
+# Rounding of a condensed stiffness relative to its diagonal; larger negative pivots show an indefinite K.
 CONDENSED_ROUNDING = 1e-6
-# The eigenvectors of a K up to this size cost next to nothing.
+# The size of K up to which its eigenvectors are cheap.
 SMALL = 900
-# Of large bodies whose rigid motions nobody states these nodes are retained from the start, if they are no more
-# unknowns than this, or than this part of the touched ones: next to nothing beside a second factorisation.
+# For large bodies without stated rigid motions some nodes are retained in advance, if their unknowns are at most this
+# number, or this part of the touched ones, which is cheap compared with a second factorisation.
 FEW_MORE, PART_MORE = 48, 0.125
-# A printed stiffness that was changed along rigid motions resists none by so little of that change.
+# The energy, relative to that change, below which a motion of a changed printed stiffness is not elastic.
 LOST = 1e-2
 
 
@@ -74,7 +74,7 @@ class Condensation:
     Attributes
     ----------
     expand : function
-        The full displacement (n,) from that of the retained unknowns (p,) and what `reduce_load` gave besides.
+        The full displacement (n,) from that of the retained unknowns (p,) and the state of `reduce_load`.
     solver : whose factors they are
     """
 
@@ -82,11 +82,11 @@ class Condensation:
     solver: str
 
     def __init__(self, problem: ContactProblem) -> None:
-        self._before: Condensation | None = None  # what a condensed problem was condensed by
+        self._before: Condensation | None = None  # the condensation of a condensed problem
         self.saddles: dict[Any, Any] = {}  # filled by `dense.saddle_point`
         self._cleared: ExtendedRows | None = None
         self.factorisations = 0
-        self._spent = 0  # half back-substitutions of eliminations that were given up
+        self._spent = 0  # half back-substitutions of abandoned eliminations
         self._rows = (problem.stiffness, problem.normal, problem.tangent, problem.tie)
         self._sparse, self._diagonal = problem.stiffness_rows, problem.diagonal
         self.unknown_scale = unknown_scale(problem)
@@ -123,7 +123,7 @@ class Condensation:
         return all(same_matrix(mine, other) for mine, other in zip(self._rows, theirs, strict=True))
 
     def _precaution(self, touched: Indices) -> Indices:
-        """Return unknowns that hold every body should it float, where that costs next to nothing; else none."""
+        """Return unknowns that would hold floating bodies, if retaining them is cheap, else none."""
         if FAR_APART * connected_parts(self._sparse)[0] > max(FEW_MORE, PART_MORE * len(touched)):
             return touched[:0]
         apart = unknowns_far_apart(self._sparse)
@@ -131,7 +131,7 @@ class Condensation:
         return beside if len(beside) <= max(FEW_MORE, PART_MORE * len(touched)) else touched[:0]
 
     def _eliminate_if_regular(self, retained: Indices, of_stiffness: Array) -> None:
-        """Eliminate the interior unknowns; where their block is singular some far apart are retained as well."""
+        """Eliminate the interior unknowns; if their block is singular, some distant ones are retained as well."""
         try:
             self._eliminate(retained, of_stiffness, singular=self._sparse.shape[0] <= SMALL)
         except NotPositive:
@@ -139,7 +139,7 @@ class Condensation:
 
     def _eliminate(self, retained: Indices, of_stiffness: Array, singular: bool = True) -> None:
         self._reduced: tuple[Vector, Vector, Vector] | None = None
-        self._crossing: tuple[Vector, Vector] | None = None  # the |K_ci||K_ii^-1 f_i| of the `inner` that comes first
+        self._crossing: tuple[Vector, Vector] | None = None  # |K_ci||K_ii^-1 f_i| of the first `inner`
         nested = self._nested(retained)
         self._elimination: Elimination = eliminate(self._sparse, retained, singular) if nested is None else nested
         self.expand, self.solver, self.retained = self._elimination.expand, self._elimination.solver, retained
@@ -152,7 +152,7 @@ class Condensation:
         vars(self).pop("schur_factor", None)
 
     def _nested(self, retained: Indices) -> NestedBlock | None:
-        """Return the elimination that starts from a wider condensation, where that retains all of these unknowns."""
+        """Return the elimination that starts from a wider condensation, if that retains all of these unknowns."""
         wider, self._wider = self._wider, None
         if wider is None or not np.all(np.isin(retained, wider.retained)):
             return None
@@ -167,23 +167,23 @@ class Condensation:
         return (self._spent + self._elimination.half_substitutions + 1) // 2
 
     def _scale(self, of_stiffness: Array) -> Array:
-        """Return 1/sqrt(S_jj), or the scale of K where condensation left next to nothing of the diagonal."""
+        """Return 1/sqrt(S_jj), or the scale of K where condensation nearly cancelled the diagonal."""
         left, scale = self.schur.diagonal(), of_stiffness[self.retained]
         alive = left > NOTHING_LEFT * self._diagonal[self.retained]
         scale[alive] = 1.0 / np.sqrt(np.maximum(left[alive], TINY))
         return scale
 
     def _may_be_singular(self, problem: ContactProblem) -> bool:
-        """Return whether a pivot is so small that K may be singular, beside the digits that S lost in condensation."""
+        """Return whether a pivot is so small that K may be singular, given the digits lost in condensation."""
         interior = self._elimination.smallest_pivot
         if interior < SUSPICIOUS_PIVOT:
             return True
         return self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, self.lost_digits)
 
     def _find_rigid_motions(self, problem: ContactProblem, touched: Indices) -> None:
-        """Find the rigid motions; where the interior floats some nodes far apart are retained, so that S has them all.
+        """Find the rigid motions; if the interior floats, some distant nodes are retained, so that S has them all.
 
-        If these do not hold it either, the null space of K itself is looked for; that of a small K at once.
+        If these do not hold it either, or if K is small, the null space of K itself is computed.
         """
         scale, large = self.unknown_scale, problem.dimension > SMALL
         if large and self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
@@ -201,7 +201,7 @@ class Condensation:
             self._eliminate(held, scale)
 
     def _floats_no_further(self, stated: RigidMotions) -> bool:
-        """Return whether K is regular but for the stated motions: S is, once these are anchored."""
+        """Return whether the stated motions span the null space of K, as S is regular once these are anchored."""
         if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             return False
         motions, _ = np.linalg.qr(stated.motions[self.retained] / self.scale[:, None])
@@ -244,7 +244,7 @@ class Condensation:
         return DenseCholesky(scaled, np.ones(len(scaled)))
 
     def _clear_rigid_motions(self) -> None:
-        """Take the rounding of S along rigid motions away: there S is zero."""
+        """Set S to zero along rigid motions, removing its rounding errors."""
         if not self.rigid.count or not len(self.schur):
             return
         Q, _ = np.linalg.qr(self._scaled_motions)
@@ -256,14 +256,14 @@ class Condensation:
         vars(self).pop("schur_factor", None)
 
     def reduce_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """Return f_S (p,) and what `expand` needs of the load; both are kept for the refinement."""
+        """Return f_S (p,) and the state that `expand` needs; both are kept for the refinement."""
         reduced, inner = self.reduce_residual(load)
         if self._reduced is None or self._reduced[2] is not inner:
             self._reduced = (load.copy(), reduced, inner)
         return self._reduced[1:]
 
     def reduce_residual(self, load: Vector) -> tuple[Vector, Vector]:
-        """Return what `reduce_load` does of a load that does not come again, such as a residual of the refinement."""
+        """Return the result of `reduce_load` without keeping it, for a residual of the refinement."""
         if self._reduced is not None and np.array_equal(self._reduced[0], load):
             return self._reduced[1:]
         reduced, inner = self._elimination.reduce(load)
@@ -273,16 +273,16 @@ class Condensation:
         return reduced, inner
 
     def reduce_passing_load(self, load: Vector) -> tuple[Vector, Vector]:
-        """Return `reduce_residual` of a load that was never reduced, such as that of a time step; no body may float."""
+        """Return `reduce_residual` of a new load, such as that of a time step; no body may float."""
         return self._elimination.reduce(load)
 
     def responses(self, retained: Array) -> Array:
-        """Return displacements (n, q) without loads inside, from those of the retained unknowns (p, q)."""
+        """Return displacements (n, q) without interior loads, from those of the retained unknowns (p, q)."""
         return self._elimination.expand_motions(retained)
 
     def free_displacements(self, loads: Array) -> Array:
         """Return displacements (n, q) under loads without contacts and ties, in doubles; nothing may float."""
-        if isinstance(self._elimination, LastBlock):  # which reads its factors once for all of them
+        if isinstance(self._elimination, LastBlock):  # one pass over the factors for all of them
             reduced, inner = self._elimination.reduce(loads)
             return self.expand(self._free(reduced), inner)
         states = (self.reduce_passing_load(load) for load in loads.T)
@@ -313,13 +313,13 @@ class Condensation:
         return self.expand(dx, inner), dl, dn
 
     def remember_load(self, load: Vector, reduced: Vector, inner: Vector) -> None:
-        """Have `reduce_load` know a load that is combined from reduced ones."""
+        """Store the reduced form of a load that is a combination of reduced ones."""
         self._reduced = (load.copy(), reduced, inner)
 
     def reduced_size(self, problem: ContactProblem, inner: Vector) -> Vector:
         """Return the sizes behind each entry of f_S (p,): where a body floats, |f_c| + |K_ci||K_ii^-1 f_i|.
 
-        Where next to nothing is left of the loads inside, it is rounding of them all: then those of |f| come on top.
+        Where the interior loads cancel, rounding of all loads counts, and the sizes of |f| are added.
         """
         size = problem.load_size[self.retained]
         if not self.rigid.count or len(size) == problem.dimension:
@@ -342,7 +342,7 @@ class Condensation:
         return reduced
 
     def cleared_rows(self, problem: ContactProblem) -> ExtendedRows:
-        """Return rows whose stiffness is zero along rigid motions, for where K's rounding along these matters."""
+        """Return rows whose stiffness is exactly zero along rigid motions."""
         if self._cleared is None:
             weight, motions = np.sqrt(self._diagonal), self.rigid.motions
             if problem.near_null_space is not None:
@@ -368,17 +368,17 @@ class Condensation:
         return self.rigid.motions[self.retained] / self.scale[:, None]
 
     def null_space(self, closed: Indices, tied: bool) -> SaddlePoint:
-        """Return the saddle point of closed contacts by the null-space method, which takes any."""
+        """Return the saddle point of closed contacts by the null-space method, which admits any set."""
         return NullSpace(self, closed, tied)
 
     def _held_schur(self) -> Array:
-        """Return S with springs on the idle motions; no load drives these, so that the springs carry nothing."""
+        """Return S with springs on the idle motions, which carry no force as no load drives these."""
         if not self.rigid.count or not (idle := self.idle_motions()).shape[1]:
             return self.schur
         return self.schur + idle @ idle.T / (self.scale[:, None] * self.scale)
 
     def _of_reduced(self, reduced: ContactProblem) -> Condensation:
-        """Return what condensing the condensed problem would give: itself, with nothing left to factorise."""
+        """Return the condensation of the condensed problem, which has no interior."""
         twin = object.__new__(Condensation)
         twin.__dict__ |= self.__dict__
         twin.rigid = RigidMotions(self.rigid.motions[self.retained], self.rigid.softest)
@@ -442,7 +442,7 @@ def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination
     if wanted and np.all(np.delete(stiffness.diagonal(), retained) > 0):
         try:
             return LastBlock(stiffness, retained)
-        except NotPositive:  # whether it is indefinite is for the pivots of the other way to tell
+        except NotPositive:  # the pivots of the other solver decide whether it is indefinite
             if not singular:
                 raise
     if count > max(DENSE_SIZE, FEW * len(retained)):
@@ -451,7 +451,7 @@ def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination
 
 
 def columns_of(rows: Any, columns: Indices) -> Array:
-    """Return some columns of CSR rows as an array; of few rows all are written out first, which costs less."""
+    """Return some columns of CSR rows as an array; for few rows a full array is made first, which is faster."""
     if not rows.shape[0]:
         return np.zeros((0, len(columns)))
     if rows.shape[0] * rows.shape[1] <= WRITTEN_OUT:
@@ -465,7 +465,7 @@ def _sparse_columns_of(rows: Any, columns: Indices) -> Any:
 
 
 def condense(problem: ContactProblem) -> Condensation:
-    """Return the condensation of a problem, which is made once and shared with all that `problem.replace` derives."""
+    """Return the condensation of a problem, computed once and shared by `problem.replace`."""
     problem.refuse_exchanged_arrays()
     if problem.has_idle_rows:
         raise Unsupported(
@@ -481,7 +481,7 @@ def condense(problem: ContactProblem) -> Condensation:
 
 
 def free_motions(condensation: Condensation, saddle: SaddlePoint) -> Array:
-    """Return an orthonormal basis (n, q) of the motions that neither K nor a row of the closed set resists."""
+    """Return an orthonormal basis (n, q) of the motions that neither K nor rows of the closed set resist."""
     return orthonormal(condensation.rigid.motions @ saddle.free_coordinates)
 
 

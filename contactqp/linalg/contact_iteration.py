@@ -1,8 +1,8 @@
-"""What the active set, the bounds and friction ask of a stiffness that is iterated on, in one process or over ranks.
+"""Define the interface of iterative solution, in one process or on ranks, for the active set, the bounds and friction.
 
-They are written with the products, sums, projections and the preconditioner of a `ContactIteration` alone. A vector is
-what one process has of it: all of it in `contactqp.linalg.iteration`, the part of a rank in `contactqp.distributed`;
-sums, and what is decided by them, are of all processes.
+These use only the products, sums, projections and the preconditioner of a `ContactIteration`. A vector is the part on
+one process, the whole in `contactqp.linalg.iteration` and the part of a rank in `contactqp.distributed`; sums and
+decisions are over all processes.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class ContactIteration(ABC):
     Attributes
     ----------
     krylov_iterations : int, steps of conjugate gradients so far
-    least_eigenvalue : float, the least Ritz value of M K that any run has found, on held rows or without
-    longest_run : int, the steps of the longest of them
-    floating : the rigid motions of bodies that nothing but contacts and ties holds
+    least_eigenvalue : float, the least Ritz value of M K in all runs, with or without constrained rows longest_run :
+    int, the steps of the longest of them
+    floating : the rigid motions of bodies held by contacts and ties only
     """
 
     floating: FloatingMotions
-    factorised = False  # whether M is the inverse of K but for rounding
+    factorised = False  # whether M is the inverse of K up to rounding
 
     def __init__(self) -> None:
         self.krylov_iterations = 0
@@ -75,7 +75,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def mark(self, flags: Mask) -> object:
-        """Return a hashable value that tells this set of flags from others."""
+        """Return a hashable value that identifies this set of flags."""
 
     @abstractmethod
     def largest(self, values: Vector) -> Vector:
@@ -99,7 +99,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def product_sizes(self, x: Vector) -> Vector:
-        """Return the sizes |K||x| of what these forces add up."""
+        """Return |K||x|, the sum of the sizes of the terms of K x."""
 
     @abstractmethod
     def lengths(self, x: Vector) -> Vector:
@@ -111,7 +111,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def forces(self, force: Vector) -> Vector:
-        """Return what forces on the rows do to the unknowns, E'l (n,)."""
+        """Return the forces of the rows on the unknowns, E'l (n,)."""
 
     @abstractmethod
     def force_sizes(self, force: Vector) -> Vector:
@@ -125,15 +125,15 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
-        """Return the projections of some rows, held at limits."""
+        """Return the projections for some rows, constrained to limits."""
 
     @abstractmethod
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
-        """Move x onto the limits of held rows, and the residual with it, both in place."""
+        """Move x onto the limits of constrained rows and update the residual, both in place."""
 
     @abstractmethod
     def run(self, x: Vector, residual: Vector, rows: Indices, held: ConstrainedRows) -> ConjugateGradients:
-        """Return conjugate gradients on the displacements that keep some rows.
+        """Return conjugate gradients on the displacements that satisfy constrained rows.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def of_rows(self, chosen: Indices) -> ContactIteration:
-        """Return the same stiffness with some of the rows alone, all contacts first."""
+        """Return the iteration with some of the rows only, all contacts first."""
 
     @abstractmethod
     def lengths_of(self, entries: sp.csr_matrix, x: Vector) -> Vector:
@@ -172,39 +172,43 @@ class ContactIteration(ABC):
 
     @abstractmethod
     def forces_of(self, entries: sp.csr_matrix, force: Vector) -> Vector:
-        """Return what forces (a,) on other rows (a, t) do to the unknowns (n,)."""
+        """Return the forces on the unknowns (n,) of forces (a,) on other rows (a, t)."""
 
     @abstractmethod
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> ConstrainedRows:
-        """Return the projections of other rows (a, t), each a sum of rows of one contact, held at limits (a,)."""
+        """Return the projections for other rows (a, t), each a sum of rows of one contact, constrained to limits
+        (a,).
+        """
 
     def refuse_late(self, what: str) -> None:
-        """Raise NotConverged where the call should have ended before `what`; over ranks, whose clocks differ, never."""
+        """Raise NotConverged if the time limit has passed before `what`; never on ranks, whose clocks differ."""
         del what
 
     def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
-        """Return the function M r for bodies that rows hold and springs on `sprung` E join; here for bodies alone."""
+        """Return the preconditioner M r with constrained rows and springs on `sprung` E; by default without both."""
         del rows, sprung
         return self.smooth
 
     # Bodies that nothing but contacts holds.
 
     def supports(self, closed: Mask, load: Vector) -> bool:
-        """Return whether closed contacts and all further rows hold every rigid motion that a load drives."""
+        """Return whether closed contacts and all further rows resist every rigid motion that a load drives."""
         return not self.floating.count or self.floating.holds(closed, load)
 
     def at_rest(self, held: ConstrainedRows, closed: Mask) -> ConstrainedRows:
-        """Return the projections of held rows that also remove motions which no closed contact or other row holds."""
+        """Return the projections for constrained rows that also remove motions resisted by no closed contact or other
+        row.
+        """
         return self.floating.projections(held, closed)
 
     def rest(self, problem: Limits) -> tuple[Vector, Mask] | None:
-        """Return where floating bodies come to rest and the contacts that hold them; None where none floats."""
+        """Return the rest position of floating bodies and the contacts that hold them, None if none floats."""
         if not self.floating.count:
             return None
         return self.floating.resting(problem.load, np.concatenate([problem.gap, problem.tie_value]))
 
     def supported(self, problem: Limits, closed: Mask, x: Vector) -> Mask:
-        """Return closed contacts (m,), and where they leave a body loose those that it would come to rest on."""
+        """Return closed contacts (m,), with those added on which a body that they do not hold would come to rest."""
         if self.supports(closed, problem.load):
             return closed
         limit = np.concatenate([problem.gap, problem.tie_value])
@@ -215,7 +219,7 @@ class ContactIteration(ABC):
         return self.floating.balance(residual, weight)
 
     def elastic(self, x: Vector) -> Vector:
-        """Return a displacement less its rigid part, in the metric of D."""
+        """Return a displacement without its rigid part, in the metric of D."""
         if not self.floating.count:
             return x
         strained = x.copy()
@@ -223,11 +227,11 @@ class ContactIteration(ABC):
         return strained
 
     def deflated(self, force: Vector) -> Vector:
-        """Return a force (n,) without its resultant on rigid motions, which K cannot balance."""
+        """Return a force (n,) without the part that does work on rigid motions, which K cannot balance."""
         return self.floating.balanced(force) if self.floating.count else force
 
     def around(self, contacts: Mask, layers: int) -> Mask:
-        """Return the contacts and those within so many layers of unknowns around them (m,); here the contacts alone."""
+        """Return the contacts and those within `layers` of unknowns around them (m,), by default only the contacts."""
         del layers
         return contacts
 

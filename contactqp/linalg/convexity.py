@@ -1,4 +1,6 @@
-"""Whether an energy is convex: a Cholesky factorisation, or a direction of negative curvature in extended precision."""
+"""Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
+precision.
+"""
 
 from __future__ import annotations
 
@@ -17,27 +19,27 @@ from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 
-# Negative curvature of this part of |z|'|K||z| is no rounding of the entries.
+# Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
-# Pivots beneath this part of their diagonal entry are those of a stiffness that is singular to working precision.
+# With pivots below this part of the diagonal entry a stiffness is singular to working precision.
 REGULAR = 1e-8
-# Pivots above this part of it are more than the raised diagonal leaves of a motion without energy.
+# Pivots above this part exceed those that the raised diagonal gives for a motion without energy.
 DEFINITE = 1e-10
-# Unknowns of a direction that a message names.
+# The most unknowns of a direction named in a message.
 NAMED = 6
 # Steps of conjugate gradients that show a negative eigenvalue.
 STEPS = 15
 
 
 def refuse_indefinite(problem: ContactProblem) -> None:
-    """Raise InvalidProblem, which names the direction, if K has negative curvature; a stiffness is examined once."""
+    """Raise InvalidProblem with the direction if K has negative curvature; a stiffness is examined once."""
     stiffness_factor(problem, wanted=False)
 
 
 def stiffness_factor(
     problem: ContactProblem, wanted: bool = True, factors: pardiso.Pardiso | None = None, least: float = REGULAR
 ) -> StiffnessFactor | None:
-    """Return factors of K if they are wanted, None where K is singular to working precision.
+    """Return factors of K if `wanted`, None if K is singular to working precision.
 
     Raises InvalidProblem: K is indefinite, as `refuse_indefinite` says.
 
@@ -82,7 +84,7 @@ class StiffnessFactor:
 
 
 def _factorised(problem: ContactProblem, factors: pardiso.Pardiso | None) -> StiffnessFactor | None:
-    """Return the factors of K where its pivots are positive, else None."""
+    """Return the factors of K if its pivots are positive, else None."""
     if np.any(problem.diagonal <= 0):
         return None
     try:
@@ -93,7 +95,7 @@ def _factorised(problem: ContactProblem, factors: pardiso.Pardiso | None) -> Sti
 
 
 def _refuse_indefinite(problem: ContactProblem, factors: pardiso.Pardiso | None) -> StiffnessFactor | None:
-    """Refuse an indefinite K; return its factors where they decided that."""
+    """Raise InvalidProblem for an indefinite K; return its factors if they decided it."""
     if np.all(2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension) >= 0):
         return None  # dominant diagonals: Gershgorin's circles
     if problem.dimension > DENSE_SIZE and (factor := _factorised(problem, factors)) is not None:
@@ -125,8 +127,8 @@ def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
 def refuse_indefinite_by_iteration(problem: ContactProblem, iteration: ContactIteration) -> None:
     """Raise InvalidProblem if conjugate gradients from a random force meet negative curvature; it is tried once.
 
-    A preconditioner that leaves the positive eigenvalues of M K between a fifth and one makes a negative one show
-    itself in a dozen steps, which amplify it by three each; GMRES would not notice.
+    With positive eigenvalues of M K between a fifth and one, a negative one appears in a dozen steps, which amplify it
+    by three each; GMRES would not show it.
     """
     of_stiffness = problem._computed.of_stiffness
     if of_stiffness.convex or of_stiffness.convex_by_iteration:

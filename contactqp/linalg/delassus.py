@@ -1,21 +1,21 @@
-"""The Delassus operator of frictional contacts, normal and tangential rows together, as the law sees it.
+"""The Delassus operator of frictional contacts, with normal and tangential rows together.
 
 With M = S + A'A + Z Z' on the scaled condensed unknowns, A the ties and Z the rigid motions (rows and columns of unit
 length), R the rows (N_i, T_i) of all contacts and C = [A; -Z'],
 
     R x = free - W l - V j,        V' l + J j = held         W = R M^-1 R',  V = R M^-1 C',  J = C M^-1 C' - diag(0, I)
 
-for contact forces l in the order (l_N, l_T) of each contact and joints j: what holds the ties, and where the bodies
-are. Both rows of a contact are divided by sqrt(W_NN), so that coefficients of friction stay as they are and W_NN = 1.
-Where J is regular no body floats, and the joints are eliminated.
+for contact forces l in the order (l_N, l_T) of each contact and joints j, the tie forces and rigid displacements. Both
+rows of a contact are divided by sqrt(W_NN), so that coefficients of friction stay as they are and W_NN = 1. Where J is
+regular no body floats, and the joints are eliminated.
 
 A local problem has its W given. Forces of contacts that are in given states satisfy
 
     u_N = 0, and u_T = 0 where a contact sticks, r_T = -mu r_N t where it slips, r = 0 where it is open,
 
-u = W r + q, t the direction of the slip: a linear system in the plane, in space Newton's method turns the directions,
-which are doubles: what they leave of the forces is the rounding of doubles. The system is refined in twice double
-precision (`refined_forces`).
+u = W r + q, t the direction of the slip: a linear system in the plane, in space Newton's method updates the directions,
+which are doubles and so limit the accuracy of the forces. The system is refined in twice double precision
+(`refined_forces`).
 
 The condensed stiffness and the rows of contacts, tangents and ties (`FrictionalRows`) are scaled to the unit of
 sqrt(energy). With D = 1/sqrt(S_jj), x = D y and rows of unit length in the energy, r_i = |E_i D|, the rows R = [N; T;
@@ -46,11 +46,11 @@ from contactqp.model.problem import ContactProblem
 
 # Joints whose smallest singular value is less than this part of the largest leave a body floating.
 FLOATING = 1e-9
-# Rounding of the stiffness that is told by residuals, where they are no more numbers than this.
+# The most entries of responses whose residuals are formed to measure the rounding of the stiffness.
 MUCH, MOST_MEASURED = 1e-6, 2_000_000
-# Ties that leave this part of a contact's compliance, as that of the bodies without them, hold it.
+# Ties fix a contact if they reduce its compliance to this part of that without ties.
 HELD = 1e-13
-# Sweeps of refinement at most, and the part of the forces that a last one may change.
+# The most sweeps of refinement, and the largest relative change of forces in the last one.
 SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
 
 
@@ -72,7 +72,7 @@ class ContactOperators:
 
     @property
     def felt(self) -> Mask:
-        """Return the rows (m, d) that move something: ties hold those of which rounding alone is left."""
+        """Return which rows (m, d) are not fixed by ties up to rounding."""
         return np.asarray(self.W.diagonal() > HELD * self.size).reshape(len(self.scale), -1)
 
     @property
@@ -96,18 +96,18 @@ class ContactCompliance(ContactOperators):
     _rows: Array  # (d m, p) R, scaled
     _joints: Array  # (k + z, p) C
     _factor: DenseCholesky | None
-    _elimination: Array  # (d m, k + z - q): what eliminated joints take to the contacts
+    _elimination: Array  # (d m, k + z - q), the coupling of eliminated joints to the contacts
     _unknown_scale: Vector
     _lost: float  # the error of M relative to its diagonal
-    _grown: float  # by how much eliminating joints makes rounding grow
+    _grown: float  # growth of rounding by the elimination of joints
     _measured: Callable[[], float]  # `_measured_rounding`
 
     @cached_property
     def rounding(self) -> float:
-        """The relative error of the energies d'W d by rounding of M, beside which a soft motion may be as small.
+        """Return the relative error of the energies d'W d by rounding of M.
 
-        W = R M^-1 R' changes by x'E x for x = M^-1 R'd where M changes by E, and |x|^2 <= |M^-1| d'W d. Where that is
-        much, as of slender bodies, the responses are put into the full equations, which as a rule tell less.
+        W = R M^-1 R' changes by x'E x for x = M^-1 R'd where M changes by E, and |x|^2 <= |M^-1| d'W d. For slender
+        bodies, where this bound is large, the residuals of the responses usually give a smaller one.
         """
         from scipy.linalg.lapack import dpocon
 
@@ -121,18 +121,18 @@ class ContactCompliance(ContactOperators):
         return bound if bound <= MUCH or self._joints.size else min(bound, self._measured())
 
     def on_rigid_motions(self) -> tuple[Array, Array]:
-        """Return R Z (d m, r) and A Z (k, r): how far contact rows and ties move with the rigid motions."""
+        """Return R Z (d m, r) and A Z (k, r), the displacements of contact rows and ties by rigid motions."""
         Z = -self._joints[self.ties :].T
         return self._rows @ Z, self._joints[: self.ties] @ Z
 
     def that_keep(self, rows: Indices) -> Array:
-        """Return an orthonormal basis (p, q) of scaled displacements which ties and some contact rows hold at zero."""
+        """Return an orthonormal basis (p, q) of scaled displacements with zero ties and contact `rows`."""
         kept = np.vstack([self._rows[rows], self._joints[: self.ties]])
         _, size, motions = np.linalg.svd(kept)
         return motions[np.sum(size > FLOATING * np.max(size, initial=0.0)) :].T
 
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
-        """Return R x (d m,) under a problem's load without contact forces, and the lengths that joints hold (q,)."""
+        """Return R x (d m,) under a problem's load without contact forces, and the right-hand sides of joints (q,)."""
         load, _ = condensation.reduce_load(problem.load)
         tie_length = _lengths(condensation.tie * self._unknown_scale)
         value = problem.tie_value / tie_length
@@ -181,7 +181,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
         unfelt = W.diagonal() <= max(HELD, EPS * grown) * before
-        W[unfelt] = W[:, unfelt] = 0.0  # what rounding leaves of rows in the span of ties would pass for compliance
+        W[unfelt] = W[:, unfelt] = 0.0  # rounding of rows in the span of ties would appear as compliance
     lost, ties = max(condensation.lost_digits, len(scale) * EPS), len(tie) if len(J) else 0
 
     def measured() -> float:
@@ -192,7 +192,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
 
 
 def _measured_rounding(problem: ContactProblem, condensation: Condensation, made: ContactCompliance) -> float:
-    """Return the relative error of d'W d that the residuals of the responses u tell, infinite where they are too many.
+    """Return the relative error of d'W d by the residuals of the responses u, infinite if they are too many.
 
     Of rows E and the residuals r = E' - K u the compliance is E u + u'r but for the energy of r, of second order.
     """
@@ -221,7 +221,7 @@ def _regular_inverse(J: Array, ties: int) -> Array | None:
     """Invert the joints' block; dependent ties share their force. None where a body floats."""
     values, vectors = np.linalg.eigh(J)
     kept = abs(values) > FLOATING * np.max(abs(values), initial=1.0)
-    # A singular direction among the ties alone is a tie said twice; one that moves a body is a body that floats.
+    # A singular direction among the ties is a dependent tie; one with a rigid displacement is a floating body.
     if np.any(abs(vectors[ties:, ~kept]) > np.sqrt(FLOATING)):
         return None
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
@@ -238,7 +238,7 @@ _in_extended_precision: WeakKeyDictionary[LocalProblem, SparseRows] = WeakKeyDic
 def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
     """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
 
-    Forces that redundant contacts press against each other may be so large that in doubles nothing is left of q.
+    Self-equilibrated forces of redundant contacts may be so large that q is lost in doubles.
     """
     if problem not in _in_extended_precision:
         _in_extended_precision[problem] = SparseRows(problem.delassus)
@@ -250,7 +250,7 @@ def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None 
 
 @dataclass(frozen=True, eq=False)
 class RefinedForces:
-    """Forces in their states, the velocities that they lead to, and what the last sweep changed."""
+    """Forces in given states, their velocities, and the change in the last sweep."""
 
     force: Extended  # (d m,)
     velocity: Extended  # (d m,)
@@ -258,7 +258,7 @@ class RefinedForces:
 
 
 def refined_forces(problem: LocalProblem, force: Array, status: Status) -> RefinedForces | None:
-    """Return the forces in these states (m,) that are nearest to given ones (m, d), None where none settle."""
+    """Return the forces in these states (m,) nearest to given ones (m, d), None if the refinement fails."""
     (m, d), closed = force.shape, status != OPEN
     scale, rows, q = np.repeat(problem.contact_scale, d), SparseRows(problem.delassus), extend(problem.offset)
     own = np.arange(m * d).reshape(m, d)[closed].ravel()
@@ -286,7 +286,7 @@ def refined_forces(problem: LocalProblem, force: Array, status: Status) -> Refin
 
 
 def _equations(problem: LocalProblem, status: Status, r: Extended, velocity: Vector) -> tuple[Array, Vector]:
-    """Return the derivatives (d m, d m) and what is left (d m,) of every contact's equations, all scaled."""
+    """Return the derivatives (d m, d m) and residuals (d m,) of every contact's equations, all scaled."""
     m, d = problem.contacts, problem.dimension
     scale, mu = np.repeat(problem.contact_scale, d), problem.friction
     left, matrix = scale * velocity, problem.scaled_delassus.toarray()
@@ -355,10 +355,10 @@ class FrictionalRows:
     all_rows : (d m + k, p) array, one after the other
     width : int, d-1, tangential rows a contact
     slides : (m,) array of bool
-        Which contacts can slide at all: a tangential row whose unknowns are all supported is zero, and any friction
-        within its bound would do; it is given none.
+        Which contacts can slide: a tangential row whose unknowns are all supported is zero, and its arbitrary friction
+        force is set to zero.
     coefficient : (m,) array, mu r_T / r_N: friction bounds in scaled forces
-    corrections : int, how many systems of combinations have given since the rows were made
+    corrections : int, the number of corrections by systems of combinations so far
     """
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
@@ -370,7 +370,7 @@ class FrictionalRows:
         tangent = condensation.tangent.toarray() * self.scale
         self.width = len(tangent) // problem.contacts if problem.contacts else 1
         of_contacts, length = _unit(tangent.reshape(problem.contacts, -1))
-        # The root of the mean square of a contact's rows.
+        # The root mean square of a contact's rows.
         self.tangent_length = np.where(np.any(of_contacts != 0, axis=1), length / np.sqrt(self.width), 1.0)
         self.tangent = tangent / np.repeat(self.tangent_length, self.width)[:, None]
         self.slides = np.any(of_contacts != 0, axis=1)
@@ -378,7 +378,7 @@ class FrictionalRows:
         self.all_rows = np.vstack([self.normal, self.tangent, self.tie])
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         self.motions = orthonormal_motions(condensation)
-        self.system: dict[bool, Any] = {}  # the last one, by whether its rows were made independent
+        self.system: dict[bool, Any] = {}  # the last one, by `independent`
         self.corrections = 0
 
     @cached_property
@@ -388,7 +388,7 @@ class FrictionalRows:
 
     @cached_property
     def response(self) -> Array:
-        """Return S^+ R' (p, d m + k): the displacements that a unit of each force makes."""
+        """Return S^+ R' (p, d m + k), the displacements under unit forces."""
         return np.asarray(self.compliance @ self.all_rows.T)
 
     @cached_property
@@ -404,7 +404,7 @@ class FrictionalRows:
 
 
 def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
-    """Return the scaled rows of a problem, which are made once for its coefficients and its condensation."""
+    """Return the scaled rows of a problem, computed once for its coefficients and condensation."""
     cached = problem._computed.frictional_rows
     if cached is None or cached[1] is not condensation or np.any(cached[0] != problem.friction):
         rows = FrictionalRows(problem, condensation)
@@ -414,7 +414,7 @@ def condensed_frictional_rows(problem: ContactProblem, condensation: Condensatio
 
 
 def _unit(rows: Array) -> tuple[Array, Vector]:
-    """Return rows of unit length and the lengths that they were divided by; an empty row is left as it is."""
+    """Return rows scaled to unit length and the original lengths; an empty row is unchanged."""
     length = np.linalg.norm(rows, axis=1)
     length = np.where(length > 0, length, 1.0)
     return rows / length[:, None], length
@@ -422,7 +422,7 @@ def _unit(rows: Array) -> tuple[Array, Vector]:
 
 @dataclass(frozen=True, eq=False)
 class AcrossSlips:
-    """Rows across the directions of slip in space, combined of the two tangential rows of each contact."""
+    """Rows across the slip directions in space, combinations of the two tangential rows of each contact."""
 
     contacts: Indices  # (a,)
     rows: Array  # (a, d-1)
@@ -436,7 +436,7 @@ NONE_ACROSS = AcrossSlips(np.zeros(0, dtype=np.intp), np.zeros((0, 1)), np.zeros
 def across_slips(directions: Array, turning: Vector) -> AcrossSlips:
     """Return the rows across directions of slip (m, 2), of contacts at which mu l_N / |s| (m,) is positive.
 
-    Where bodies move far under small forces the compliances are large: then both are scaled to one.
+    Large compliances, where bodies move far under small forces, are scaled to one together with their rows.
     """
     moving = np.flatnonzero(turning > 0)
     left = np.column_stack([-directions[moving, 1], directions[moving, 0]])
@@ -447,8 +447,8 @@ def across_slips(directions: Array, turning: Vector) -> AcrossSlips:
 class ReducedStates:
     """The system of a combination (`contactqp.linalg.friction_states`) by its Schur complement on the forces.
 
-    With rows H = B R of what is held and P = A R of what is pushed, combined of the rows R of all contacts and ties,
-    and the compliances C of forces across slips,
+    With constrained rows H = B R and rows P = A R along which forces act, combinations of the rows R of all contacts
+    and ties, and the compliances C of forces across slips,
 
         [ S  P' ] [ x ]   [ r ]
         [ H  -C ] [ l ] = [ e ],    (B W A' + C) l = H S^-1 r - e,    x = S^-1 (r - P'l),    W = R S^-1 R',
@@ -495,6 +495,6 @@ class ReducedStates:
 
 
 def _combined(parts: list[tuple[Vector, Indices, Indices]], shape: tuple[int, int]) -> sp.csr_array:
-    """Return a sparse matrix of some entries, each with its row and column."""
+    """Return a sparse matrix of entries with their rows and columns."""
     values, row, column = (np.concatenate(one) for one in zip(*parts, strict=True))
     return sp.csr_array((values, (row, column)), shape=shape)

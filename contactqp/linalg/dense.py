@@ -1,13 +1,13 @@
-"""Dense systems: Cholesky factors, scales, small interiors, contacts and ties as condensed bodies feel them.
+"""Dense systems: Cholesky factors, scales, small interiors, and the Delassus operator of contacts and ties.
 
 An interior that is small, or only a few times what is retained, is eliminated by `BackSubstitution`. The Delassus
 operator of what is retained is
 
     W = [E; A] S_e^-1 [E; A]',    S_e = S + e Z Z'
 
-on the condensed unknowns, in the scale that gives S a unit diagonal and W too. Where bodies float, W would be
-infinite along their rigid motions Z: the springs e anchor them, and a proximal iteration (Rockafellar 1976) takes the
-anchors' force away.
+on the condensed unknowns, in the scale that gives S a unit diagonal and W too. Where bodies float, W would be infinite
+along their rigid motions Z; the springs e anchor them, and a proximal iteration (Rockafellar 1976) removes the force of
+the anchors.
 
 The answer on a set B of closed contacts, which may be redundant or leave motions free, solves
 
@@ -40,19 +40,20 @@ from contactqp.model.problem import ContactProblem
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300
-# Added to each unit of diagonal, times the size, where rounding left no positive pivot; refinement then tells the rest.
+# Added to each unit of diagonal, times the size, if rounding made a pivot nonpositive; refinement corrects it.
 LIFT = 4 * EPS
-# A unit-diagonal matrix whose pivots fall below this may be singular: only then its null space is looked for.
+# A unit-diagonal matrix may be singular, and its null space is computed, if a pivot is below this.
 SUSPICIOUS_PIVOT = 1e-8
-# Right-hand sides of one block of back-substitutions: bounds the memory of K_ii^-1 K_ic.
+# The number of right-hand sides at a time, which limits the memory of K_ii^-1 K_ic.
 BLOCK = 64
-# Entries, zeros included, of rows that are cheaper to write out than to look up.
+# The number of entries, including zeros, up to which rows are converted to arrays.
 WRITTEN_OUT = 2**14
-# Soft against the bodies, so that one or two proximal steps suffice; stiff against rounding of W.
+# The anchors are soft compared with the bodies, so that one or two proximal steps suffice, and stiff compared with
+# rounding.
 ANCHOR = 1e-6
-# What a double-precision operator, and an answer found by it, cannot tell from zero: part of the lengths that meet.
+# The rounding error of a double-precision operator and its answers, relative to the lengths that meet.
 OPERATOR_ROUNDING = 1e-12
-# Pivots of S and of W_BB, with diagonals of ones, beneath which the null-space method keeps more digits.
+# Pivots of S and W_BB, with unit diagonals, below which the null-space method is more accurate.
 REGULAR = 1e-7
 
 
@@ -66,7 +67,7 @@ class Factorization(Protocol):
 
 
 class DenseCholesky:
-    """LAPACK's Cholesky factorisation of a small matrix, scaled to a unit diagonal or by a scale that is given."""
+    """LAPACK's Cholesky factorisation of a small matrix, scaled to a unit diagonal or by a given scale."""
 
     def __init__(self, matrix: Array, scale: Array | None = None) -> None:
         self._scale = inverse_root(matrix.diagonal()) if scale is None else scale
@@ -79,7 +80,7 @@ class DenseCholesky:
         lift = float(LIFT * len(scaled))
         self.smallest_pivot = 0.0
         lifted = lower_factor(scaled + lift * np.eye(len(scaled)))
-        if lifted is None:  # it is indefinite by more than rounding
+        if lifted is None:  # indefinite beyond rounding
             from scipy.linalg import cholesky, eigvalsh
 
             self.smallest_pivot = min(float(eigvalsh(scaled)[0]), 0.0)
@@ -104,7 +105,7 @@ def dense_factor(matrix: Any) -> DenseCholesky:
 
 
 def lower_factor(matrix: Array) -> Array | None:
-    """Return L of a symmetric matrix L L', with anything above its diagonal; None where a pivot is not positive."""
+    """Return L of a symmetric matrix L L' (its upper part is arbitrary), None if a pivot is not positive."""
     if not len(matrix):
         return matrix
     factor, info = lapack().dpotrf(matrix, lower=True, clean=False)
@@ -119,15 +120,17 @@ def refuse_negative(smallest_pivot: float) -> None:
 
 
 def orthonormal(motions: Array) -> Array:
-    """Return an orthonormal basis (n, r) of motions, accurate in any units, or these if doubles make them dependent."""
+    """Return an orthonormal basis (n, r) of motions, accurate in any units, or the motions if they are dependent in
+    doubles.
+    """
     if not motions.shape[1]:
         return motions
-    for _ in range(2):  # the second time for motions that units make nearly parallel
+    for _ in range(2):  # twice, as motions may be nearly parallel by their units
         R: Array = np.asarray(np.linalg.qr(motions, mode="r"))
         if not np.all(R.diagonal()):
             return motions
         motions = motions @ np.linalg.inv(R)
-    gram = motions.T @ motions  # entries of very different sizes cancel in it better than in reflections
+    gram = motions.T @ motions  # more accurate than reflections for entries of very different sizes
     least = min(np.linalg.eigvalsh(gram)) if np.all(np.isfinite(gram)) else 0.0
     return motions @ np.linalg.inv(np.linalg.cholesky(gram).T) if least > REGULAR * np.trace(gram) else motions
 
@@ -138,7 +141,7 @@ class RigidMotions:
 
     motions: Array  # (n, r) a basis, orthonormal where K has unit diagonal: accurate at every unknown in any units
     softest: float = 1.0  # the least energy of a motion that is not rigid, K scaled to unit diagonal
-    forces: Array | None = None  # (n, r) K z in extended precision, rounded: what K's rounding leaves; None: not formed
+    forces: Array | None = None  # (n, r) K z in extended precision, rounded; None if not formed
 
     @cached_property
     def count(self) -> int:
@@ -147,14 +150,12 @@ class RigidMotions:
 
     @property
     def uncertainty(self) -> float:
-        """Return how much of the softest elastic motion a rigid one may contain, as K's rounding does not tell them
-        apart.
-        """
+        """Return the part of the softest elastic motion in a rigid one, which rounding of K does not separate."""
         return min(MIXED / self.softest, MIXED_AT_MOST) if self.softest < MIXING else 0.0
 
     @cached_property
     def basis(self) -> Array:
-        """Return an orthonormal basis (n, r), as accurate at every unknown as the motions are."""
+        """Return an orthonormal basis (n, r) that is as accurate at every unknown as the motions."""
         return orthonormal(self.motions)
 
     def coordinates(self, displacement: Vector, diagonal: Vector) -> Vector:
@@ -164,14 +165,14 @@ class RigidMotions:
         return np.asarray(found)
 
     def without_rigid_part(self, displacement: Vector, diagonal: Vector) -> Vector:
-        """Return a displacement (n,) without its rigid part; unknowns without stiffness keep theirs."""
+        """Return a displacement (n,) without its rigid part; unknowns without stiffness are unchanged."""
         return displacement - self.motions @ self.coordinates(displacement, diagonal) if self.count else displacement
 
     def work_to_add(self, motions: Array, bodies: Indices, load: Vector, reduced: Vector) -> Vector:
-        """Return what to add to a condensed load so that its work on rigid motions is that of the load: (p,), scaled.
+        """Return a correction (p,), scaled, after which the work of a condensed load on rigid motions is that of the
+        load.
 
-        Rounding changes that. A body that nothing loads keeps no load at all: the rounding of its neighbours' would be
-        all that drives it.
+        An unloaded body gets no load at all, as rounding of its neighbours' loads would drive it.
 
         Parameters
         ----------
@@ -187,10 +188,9 @@ class RigidMotions:
 
 
 def unknown_scale(problem: ContactProblem) -> Array:
-    """Return D (n,), positive everywhere: 1/sqrt(K_jj), or without stiffness what makes row entries like others'.
+    """Return D (n,), positive: 1/sqrt(K_jj), or without stiffness a scale that makes row entries similar to others.
 
-    Systems are scaled by it, which takes some number for every unknown. What answers are measured by is
-    `measures.scale_through_rows`, which is zero where nothing stiff is reached.
+    It scales systems. Answers are measured by `measures.scale_through_rows`, which may be zero.
     """
     if problem._computed.unknown_scale is not None:
         return problem._computed.unknown_scale
@@ -203,7 +203,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
             along = _largest_entries(problem.tangent)
             stiff = (along * D)[~bare & (along > 0)]
         size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
-        if problem.tangent is not None:  # what tangents alone touch has their unit
+        if problem.tangent is not None:  # unknowns of tangents only have the unit of these
             largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
         D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
     return D
@@ -212,7 +212,7 @@ def unknown_scale(problem: ContactProblem) -> Array:
 def _apart(D: Vector, bare: Mask, largest: Vector) -> float:
     """Return the size to which entries of rows on unknowns without stiffness are scaled where no row is stiff.
 
-    A typical D, so that units of force and length change it as they change those of the stiff unknowns.
+    It is a typical D, which depends on units like that of stiff unknowns.
     """
     felt = largest[bare & (largest > 0)]
     if bare.all() or not felt.size:
@@ -230,7 +230,7 @@ def _largest_entries(rows: Any) -> Array:
 class BackSubstitution:
     """The Schur complement S from the factors of K_ii alone, formed column by column.
 
-    It suits an interior that is small, or at most a few times as large as what is retained.
+    It suits an interior that is small, or at most a few times as large as the retained part.
     """
 
     solver = "superlu"
@@ -300,7 +300,7 @@ def _dense(matrix: Any) -> Array:
 
 
 class Condensed(Protocol):
-    """The part of a condensation that dense systems read (`contactqp.linalg.condensation.Condensation`)."""
+    """The part of `contactqp.linalg.condensation.Condensation` that dense systems use."""
 
     schur: Array  # (p, p) S
     scale: Array  # (p,) 1/sqrt(S_jj)
@@ -320,10 +320,10 @@ class Condensed(Protocol):
 
     @property
     def delassus(self) -> Delassus:
-        """Return the Delassus operator of the contacts and ties, which is formed once."""
+        """Return the Delassus operator of the contacts and ties, formed once."""
 
     def unresisted(self, rows: Array) -> Array:
-        """Return the rigid motions that scaled rows do not resist, by their coordinates (r, q)."""
+        """Return the coordinates (r, q) of the rigid motions that scaled rows do not resist."""
 
     def null_space(self, closed: Indices, tied: bool) -> SaddlePoint:
         """Return the saddle point of closed contacts by the null-space method, which takes any."""
@@ -336,25 +336,25 @@ def orthonormal_motions(condensation: Condensed) -> Array:
 
 
 class Delassus:
-    """The Delassus operator W of normal contacts and ties of one condensation, and free responses to all its loads."""
+    """The Delassus operator W of normal contacts and ties of one condensation, and its responses to loads."""
 
     def __init__(self, condensation: Condensed) -> None:
         self.scale = condensation.scale
         self.motions = orthonormal_motions(condensation)
         self.rows = np.vstack([condensation.normal, condensation.tie]) * self.scale
         self._factor = self._factorised(condensation)
-        # Of S with a diagonal of ones; beneath REGULAR its inverse has lost half of the digits.
+        # The pivot of S with unit diagonal; below REGULAR its inverse has half of the digits.
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
         response = self.solve(self.rows.T)
         few = self.rows.size <= WRITTEN_OUT
-        W = (self.rows if few else sp.csr_array(self.rows)) @ response  # a contact touches few unknowns
+        W = (self.rows if few else sp.csr_array(self.rows)) @ response  # rows have few entries
         self.row_scale = 1.0 / np.sqrt(np.maximum(W.diagonal(), TINY))
         self.compliance = np.asarray(1.0 / self.row_scale**2)  # W_ii of every contact and tie [length / force]
         self.W = (W + W.T) / 2 * (self.row_scale[:, None] * self.row_scale)
         self.response = response * self.row_scale
 
     def _factorised(self, condensation: Condensed) -> DenseCholesky | None:
-        """Factorise S_e, the scaled Schur complement with springs on rigid motions; None where nothing is retained."""
+        """Factorise S_e, the scaled Schur complement with springs on rigid motions, None if nothing is retained."""
         if not len(condensation.schur):
             return None
         if not self.motions.shape[1]:
@@ -372,7 +372,7 @@ class Delassus:
         return float(scaled @ self.W[: len(force), : len(force)] @ scaled), float(np.sum(abs(scaled)) ** 2)
 
     def free_response(self, load: Vector, anchor: Vector) -> Vector:
-        """Return the scaled displacement without contact forces, its rigid motions those of the scaled `anchor`."""
+        """Return the scaled displacement without contact forces, with the rigid part of the scaled `anchor`."""
         return self.solve(load * self.scale + ANCHOR * self.motions @ (self.motions.T @ anchor))
 
     def dual_data(self, problem: ContactProblem, free: Vector) -> tuple[Array, Vector, Mask, Vector]:
@@ -435,7 +435,7 @@ MIXING = 1e-6
 MIXED = 64 * EPS
 # What is more mixed than this is refused rather than forgiven.
 MIXED_AT_MOST = 1e-6
-# Resultants that are this part of the forces balance, and so does a load whose work on a motion is this part of theirs.
+# Resultants below this part of the forces, and works of loads on a motion, count as balanced.
 BALANCED = 1e-12
 # So is a push of this part of all forces on a body rounding, on a motion of it that lies where no force acts.
 IDLE = 256 * EPS

@@ -1,4 +1,4 @@
-"""Units in which all rows of a problem's matrices have entries near one, whatever K sees."""
+"""Scale a problem so that all rows of its matrices have entries near one, also for singular K."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Nothing
 
-# Rounds of equilibration: from then on row and column maxima differ by little more than the powers of two.
+# Rounds of equilibration, after which row and column maxima differ by little more than powers of two.
 ROUNDS = 12
-# Sweeps over rows and columns that bring the entries of programs near one in the mean.
+# Sweeps over rows and columns for a mean of entries near one in programs.
 BALANCING_ROUNDS = 20
 # Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
 NEAR_ONE = 1.1
-# Rows that are larger or smaller than one by more than this have a unit of their own, which is not their unknowns'.
+# Rows larger than this, or smaller than its inverse, are scaled separately from their unknowns.
 OWN_UNIT_OF_A_ROW = 1e9
-# Unknowns without stiffness that the bodies of a contact problem may have; a quadratic program has more.
+# The most unknowns without stiffness in a contact problem of bodies; a quadratic program has more.
 MOST_BARE = 6
-# Where no length is imposed there is none beneath this part of the load.
+# Without imposed lengths, lengths below this part of the load count as zero.
 NO_LENGTH = 1e-6
-# Sweeps over rows and columns; what is left to balance shrinks by each as the couplings of the bodies allow.
+# Sweeps over rows and columns, whose convergence depends on the coupling of the bodies.
 BALANCING_SWEEPS = 10
-# Rows whose largest entries differ from one, or from each other, by more than this factor (2^30 = 1e9) say nothing of
-# the size of an unknown that K gives none; nor do the largest entries of such unknowns.
+# Rows whose largest entries differ from one, or from each other, by more than this factor (2^30 = 1e9) do not determine
+# the scale of an unknown without stiffness, nor do the largest entries of such unknowns.
 ALIKE = 30
-# Weight of the exponents of unknowns beside those of entries, where they are balanced.
+# The weight of the exponents of unknowns relative to those of entries in the balance.
 HARDLY = 1e-2
-# An entry below this part of the largest of its row is what cancellation has left of zero.
+# An entry below this part of the largest of its row is a rounding error of zero.
 ROUNDING_OF_A_ROW = 1e-13
 
 
@@ -48,7 +48,7 @@ class Scaling:
     contacts: Array  # (m,) r of the contacts
     ties: Array  # (k,) r of the ties
     length: float  # l
-    force: float  # that of forces, which is l where K is the measure
+    force: float  # the unit of forces, equal to l where K is the measure
 
     def unscale(self, candidate: Candidate) -> Candidate:
         """Return a candidate of the twin in the units of the problem."""
@@ -72,11 +72,10 @@ class Scaling:
 
 
 def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
-    """Return a frictionless problem in units in which the largest entries of all rows of K, E_N and A are near one.
+    """Return a frictionless problem in units with the largest entries of all rows of K, E_N and A near one.
 
     All factors are powers of two, so that the twin's data are those of the problem to the last bit (Ruiz 2001, in the
-    maximum norm). Where K is no measure of forces, as in a linear program, these have a unit apart from that of
-    lengths.
+    maximum norm). Where K does not relate forces to lengths, as in a linear program, forces have a separate unit.
     """
     known = problem._computed.equilibrated
     if known is None:
@@ -86,10 +85,10 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 
 def balanced(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
-    """Return a program `equilibrated` from units in which the entries of rows and K are near one in the mean.
+    """Return a program `equilibrated` after scaling the entries of rows and K to a mean near one.
 
-    Maxima of rows alone may leave a program whose unknowns have units of their own with most entries far beneath one,
-    and interior points break down. Nothing of it is kept.
+    With row maxima near one only, most entries of a program may be far below one, for which interior points fail. The
+    result is not cached.
     """
 
     def times(_: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
@@ -105,7 +104,7 @@ def _loaded(
     scaling: Scaling,
     of_stiffness_times: Callable[[ContactProblem, ContactProblem, float], ContactProblem],
 ) -> tuple[ContactProblem, Scaling]:
-    """Return the twin with load, gaps and ties in units of their own, and its scaling."""
+    """Return the twin with load, gaps and ties in their own units, and its scaling."""
     D, r, t = scaling.unknowns, scaling.contacts, scaling.ties
     load, gap, value = D * problem.load, problem.gap / r, problem.tie_value / t
     imposed = max(_size(np.minimum(gap, 0.0)), _size(value))
@@ -113,7 +112,7 @@ def _loaded(
     if mostly_bare(problem):
         stiffest = _size(twin.stiffness_rows.data)
         moved = _size(load) / stiffest if stiffest > 0 else 0.0
-        # What is imposed may be rounding of zero; in units of that K would be less than what regularises it.
+        # If the imposed values are rounding of zero, K in such units would be below its regularisation.
         reached = imposed if imposed > NO_LENGTH * moved else moved
         length = _near(reached or _size(np.where(np.isfinite(gap), gap, 0.0)))
         force = _near(max(_size(load), length * stiffest))
@@ -124,7 +123,7 @@ def _loaded(
 
 
 def _of_stiffness_times(problem: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
-    """Return the twin in another unit of force; the last is kept, with all that was computed for it."""
+    """Return the twin in another unit of force; the last one is kept with its cached results."""
     known = problem._computed.equilibrated_forces
     if known is None or known[0] != factor:
         values = twin._values() | dict(stiffness=twin.stiffness * factor)
@@ -145,13 +144,13 @@ def _near(size: float) -> float:
 
 
 def in_range(twin: ContactProblem) -> bool:
-    """Return whether all numbers of an equilibrated problem are finite; rows with infinite gaps are left out."""
+    """Return whether all numbers of an equilibrated problem are finite, except gaps that are infinite."""
     arrays = (twin.stiffness_rows.data, twin.normal.data, twin.tie.data, twin.load, twin.gap, twin.tie_value)
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
 
 def _equilibrated(problem: ContactProblem, d: Array, r: Array) -> tuple[ContactProblem, Scaling]:
-    """Return the twin of a problem without load, gaps and ties, from factors of unknowns and rows to start with."""
+    """Return the twin of a problem without load, gaps and ties, starting from factors of unknowns and rows."""
     K = sp.csr_matrix(problem.stiffness_rows)
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     sizes_K, sizes, columns = abs(K), abs(rows), abs(rows.T.tocsr())
@@ -173,7 +172,7 @@ def _equilibrated(problem: ContactProblem, d: Array, r: Array) -> tuple[ContactP
 
 
 class _ScaledRows:
-    """diag(l) M diag(r) of a matrix that is laid out already, l and r being powers of two: equal to the last bit."""
+    """diag(l) M diag(r) of a stored extended matrix, exact as l and r are powers of two."""
 
     def __init__(self, rows: ExtendedMatrix, left: Array, right: Array) -> None:
         self.shape = rows.shape
@@ -185,7 +184,7 @@ class _ScaledRows:
 
 
 def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
-    """Return factors of unknowns and of rows, all one but for rows that are far larger or smaller than that."""
+    """Return factors of unknowns and rows, all one except for rows far from size one."""
     sizes, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
     largest = _largest(sizes, d)
     foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
@@ -212,7 +211,7 @@ def _units_of_programs(problem: ContactProblem) -> tuple[Array, Array]:
 
 
 def _in_units(problem: ContactProblem, twin: ContactProblem, d: Array, r: Array) -> ExtendedRows:
-    """Return the rows of a twin for extended precision, by those of the problem, which are not laid out again."""
+    """Return the rows of a twin for extended precision from the stored ones of the problem."""
     given, made, m = extended_rows(problem), ExtendedRows(twin), problem.contacts
     made.stiffness = _ScaledRows(given.stiffness, d, d)
     made.normal, made.tie = _ScaledRows(given.normal, r[:m], d), _ScaledRows(given.tie, r[m:], d)
@@ -249,9 +248,9 @@ def _power_of_two(values: Array) -> Array:
 
 
 def least_length(twin: ContactProblem, closed: Mask | None = None) -> float:
-    """Return the length up to which an equilibrated problem has none, where no gap or tie imposes one.
+    """Return the length below which lengths count as zero, if no gap or tie imposes one.
 
-    K being one at most, what a load moves then is as large as the load, or nothing. Where contacts are `closed` (m,)
+    As K is at most one, displacements by a load are at least as large as the load, or zero. With `closed` contacts (m,)
     the gaps of the others impose nothing.
     """
     if (twin.gap if closed is None else twin.gap[closed]).any() or twin.tie_value.any():
@@ -260,10 +259,7 @@ def least_length(twin: ContactProblem, closed: Mask | None = None) -> float:
 
 
 def mostly_bare(problem: ContactProblem) -> bool:
-    """Return whether K has no entry at many unknowns that a load drives or rows join, as in a linear program.
-
-    Bodies have a few such unknowns, and cables those that only hang.
-    """
+    """Return whether K has no entry at many loaded or constrained unknowns, as in a linear program, unlike bodies."""
     bare = problem.diagonal == 0
     if problem.frictional or np.sum(bare) <= MOST_BARE:
         return False
@@ -275,10 +271,10 @@ def mostly_bare(problem: ContactProblem) -> bool:
 
 
 def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float) -> Nothing:
-    """Return what counts as none where K gives no scale: a fraction of the largest force and length, equilibrated.
+    """Return what counts as zero where K gives no scale, a fraction of the largest equilibrated force and length.
 
-    Forces are those of the `connected` unknowns (n,), by the number of their part, at least `beside` of the largest;
-    with friction loads alone.
+    Forces are those of the `connected` unknowns (n,) by part, at least `beside` of the largest; with friction only
+    loads.
 
     Parameters
     ----------
@@ -311,10 +307,10 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
 
 
 def balancing_factors(sizes: Array, group: Indices) -> tuple[Vector, Vector]:
-    """Return factors s (k,) of rows and t (r,) of columns, equal within a group, for which s_i sizes_ij t_j is near 1.
+    """Return factors s (k,) of rows and t (r,) of columns, equal within a group, with s_i sizes_ij t_j near 1.
 
-    s and t minimise the sum of squares of log(s_i sizes_ij t_j) over sizes that are more than rounding beside the
-    largest of their row, nearly; at the end the largest of each row is one.
+    They approximately minimise the sum of squares of log(s_i sizes_ij t_j) over sizes above rounding of the largest in
+    their row, and are then scaled to make the largest of each row one.
     """
     there = sizes > ROUNDING_OF_A_ROW * sizes.max(axis=1, initial=0.0, keepdims=True)
     logarithm = np.log(np.where(there, sizes, 1.0))
@@ -331,10 +327,10 @@ def balancing_factors(sizes: Array, group: Indices) -> tuple[Vector, Vector]:
 
 
 def balanced_exponents(entries: Any, exponent: Index, unknowns: Index, free: Mask) -> Index | None:
-    """Return binary exponents of D (n,) for which the entries E_ij D_j of each row are alike; None where none do that.
+    """Return binary exponents of D (n,) for which the entries E_ij D_j of each row are similar, else None.
 
     Exponents of the `free` unknowns are the least squares of log |E_ij D_j / R_i| over D and R; the others are given.
-    Where nothing is given, those of D are small.
+    Where nothing is given, those of D are made small.
 
     Parameters
     ----------
@@ -385,7 +381,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 
 def _without_idle_part(problem: ContactProblem) -> Array:
-    """Return the load without rounding of larger ones on unknowns without stiffness, which it would drive."""
+    """Return the load without rounding errors of larger ones on unknowns without stiffness."""
     rounding = 16 * EPS * problem.load_size
     bare = problem.diagonal == 0
     return np.where(bare & (abs(problem.load) <= rounding), 0.0, problem.load)
@@ -398,7 +394,7 @@ def _unit_rows(rows: Any, D: Array) -> tuple[Any, Array]:
 
 
 def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
-    """Return the least and the largest value (n,) that contacts and ties of one unknown alone leave each [length]."""
+    """Return the least and largest values (n,) of the unknowns by contacts and ties of one unknown [length]."""
     lower, upper = np.full(problem.dimension, -np.inf), np.full(problem.dimension, np.inf)
     for rows, limit, both in ((problem.normal, problem.gap, False), (problem.tie, problem.tie_value, True)):
         single = np.flatnonzero(np.diff(rows.indptr) == 1)
@@ -410,7 +406,7 @@ def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
 
 
 def nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
-    """Return the contacts that alone bound each unknown from below and from above most closely (n,), -1 for none."""
+    """Return the contacts of one unknown that are its tightest lower and upper bounds (n,), -1 for none."""
     rows = problem.normal
     single = np.flatnonzero((np.diff(rows.indptr) == 1) & np.isfinite(problem.gap))
     unknown, entry = rows.indices[rows.indptr[single]], rows.data[rows.indptr[single]]
@@ -432,7 +428,7 @@ def rows_alone(rows: Any) -> tuple[Indices, Indices]:
 
 
 def worst_of_neighbours(problem: ContactProblem, size: Vector) -> Mask:
-    """Return the contacts (m,) whose positive size (m,) none that shares an unknown with them exceeds."""
+    """Return the contacts (m,) with the largest positive size (m,) among those that share an unknown."""
     E = problem.normal
     at_unknowns, around = np.zeros(problem.dimension), np.zeros(problem.contacts)
     contact = np.repeat(np.arange(problem.contacts), np.diff(E.indptr))

@@ -13,7 +13,7 @@ from typing import Any
 
 Row = list[Fraction]
 ZERO, ONE = Fraction(0), Fraction(1)
-# Rows that are independent modulo a prime are independent; 2^61 - 1 is one.
+# The prime 2^61 - 1; rows that are independent modulo a prime are independent.
 PRIME = 2**61 - 1
 
 
@@ -25,12 +25,12 @@ class Affine:
     free: list[Row]  # (k, n)
 
     def image(self, row: Sequence[Fraction]) -> tuple[Fraction, Row]:
-        """Return the value of a linear form at the point, and the factor of each c_k in it (k,)."""
+        """Return the value of a linear form at the point, and its coefficients of c (k,)."""
         return dot(row, self.point), [dot(row, direction) for direction in self.free]
 
 
 def dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
-    """Return the scalar product of two rows; zeros, of which there are many, cost nothing."""
+    """Return the scalar product of two rows, skipping zeros."""
     return sum((x * y for x, y in zip(one, other, strict=True) if x and y), ZERO)
 
 
@@ -83,8 +83,8 @@ def inverse_of(matrix: list[Row]) -> list[Row] | None:
 def rank(rows: Sequence[Mapping[int, Fraction]]) -> int:
     """Return the number of independent rows, each given by its nonzero entries.
 
-    The rank modulo a prime never exceeds the true one and costs next to nothing; where it finds fewer than all rows,
-    the same elimination counts them again in rational numbers.
+    The rank modulo a prime never exceeds the true one and is cheap; if it is not full, the elimination is repeated in
+    rational numbers.
     """
     found = _pivot_count([{j: _residue(x) for j, x in row.items()} for row in rows], modular=True)
     return found if found == len(rows) else _pivot_count([dict(row) for row in rows], modular=False)
@@ -95,7 +95,7 @@ def _residue(x: Fraction) -> int:
 
 
 def _pivot_count(rows: list[dict[int, Any]], modular: bool) -> int:
-    """Count the pivots of Gauss's elimination, row by row: what a row keeps beside the earlier pivots is a new one."""
+    """Count the pivots of Gaussian elimination, row by row."""
     pivots: dict[int, dict[int, Any]] = {}
     for row in sorted(rows, key=len):
         rest = {j: x for j, x in row.items() if x}
@@ -121,12 +121,12 @@ class Polyhedron:
 
     Bland's rule chooses the pivots, so that every search ends.
 
-    Basic variables are c and the rooms, nonbasic ones rooms that are zero; directions in which no room changes are
-    left out of the search, and are `lines`.
+    Basic variables are c and some rooms, nonbasic ones rooms that are zero; directions in which no room changes are
+    excluded as `lines`.
     """
 
     def __init__(self, room: Sequence[Fraction], slope: Sequence[Row], size: int) -> None:
-        # One row a variable: its value, and its slope in the nonbasic variables.
+        # One row for each variable: its value and its slopes in the nonbasic variables.
         self._size = size
         unit = [[ONE if i == j else ZERO for j in range(size)] for i in range(size)]
         self._rows: list[Row] = [[ZERO, *row] for row in unit] + [
@@ -147,7 +147,7 @@ class Polyhedron:
         return [row[0] for row in self._rows[: self._size]]
 
     def range(self, row: Sequence[Fraction]) -> tuple[Row | None, Row | None]:
-        """Return the points (k,) where row'c is least and where it is largest; None where it is unbounded."""
+        """Return the points (k,) with the least and the largest row'c, None where it is unbounded."""
         return self._furthest([-x for x in row]), self._furthest(row)
 
     def _furthest(self, row: Sequence[Fraction]) -> Row | None:
@@ -168,7 +168,7 @@ class Polyhedron:
             self._pivot(min(steps)[1], entering)
 
     def _feasible(self) -> bool:
-        """Make all rooms nonnegative by Bland's dual rule, and return whether that is possible."""
+        """Make all rooms nonnegative by Bland's dual rule; return whether this is possible."""
         while True:
             leaving = next((i for i in self._rooms() if self._rows[i][0] < 0), None)
             if leaving is None:
@@ -206,7 +206,7 @@ class Polyhedron:
 
 
 class Region:
-    """The set {c : value + slope'c >= 0 for all forms}, which may have no coordinates at all."""
+    """The set {c : value + slope'c >= 0 for all forms}; c may have no entries."""
 
     def __init__(self, forms: list[tuple[Fraction, Row]], size: int) -> None:
         self._forms = forms

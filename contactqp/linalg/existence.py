@@ -1,12 +1,12 @@
 """Proofs that a problem has no equilibrium: constraints that conflict, or a rigid motion that the load drives.
 
-Floats propose a proof; it is checked by exact sums before anything is claimed, and what rounding of the data could
-have made is no proof. With friction a contact resists a rigid motion z unless it opens faster than it slips,
+A proof is found in floats, checked by exact sums, and rejected if rounding of the data could have caused it. With
+friction a contact resists a rigid motion z unless it opens faster than it slips,
 
     -E_N z >= mu |E_T z|,
 
 since then no force of its cone does negative work along z. In space the cone is replaced by a polyhedral one within it:
-a motion that only the rest of the cone would allow is not claimed.
+motions that only the rest of the cone would resist are not claimed.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ from contactqp.model.names import describe_motion, describe_proof, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
-# Both feasibilities of linear programs, whose unknowns and rows are of unit size.
+# The feasibility tolerances of linear programs with unknowns and rows of unit size.
 LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-# Coordinates and gains of this part of the largest are no artefact of that tolerance.
+# Coordinates and gains above this part of the largest are not artefacts of that tolerance.
 DRIVEN = 1e-7
-# What is left of the excess of constraints after a linear program, as a part of it, is none or proves a conflict.
+# The excess after a linear program, relative to that before, below which it counts as removed.
 REMAINING = 1e-7
-# Each program starts where the last one ended and resolves so much less: this many reach the rounding of doubles.
+# The number of programs, each starting from the last, that reach the rounding of doubles.
 PROGRAMS = 4
-# Slacks that are so many times the excess do not bound a program that removes the excess.
+# Constraints with slacks beyond this multiple of the excess are left out of the program.
 FAR = 1e7
-# Projections of a motion onto what the rows leave free: the second takes away what the first has rounded.
+# Projections of a motion onto the null space of rows; the second removes rounding of the first.
 PROJECTIONS = 2
-# A multiplier or a displacement of this part of the largest takes no part in a conflict or a motion.
+# Multipliers or displacements below this part of the largest are left out of a conflict or motion.
 NO_PART = 1e-9
-# Solutions are looked for within so many times the lengths that are imposed, beside a conflict found without one.
+# A conflict is claimed for displacements within this multiple of the imposed lengths.
 SOUGHT = 1e3
-# A conflict of more constraints than this is not solved for in rational numbers: its weights are looked for among
-# ratios of whole numbers up to LARGEST_DENOMINATOR, which what a linear program leaves of them determines.
+# For conflicts of more constraints the weights are not solved for in rational numbers, but rounded from a linear
+# program to ratios of integers up to LARGEST_DENOMINATOR.
 MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
-# Loads that balance to less than this of their size were meant to balance: the message says how to make them.
+# Loads that are balanced to this part of their size were meant to be, and the message advises how to balance them.
 MEANT_TO_BALANCE, BUT_FOR = 1e-4, "the loads along it balance but for"
-# A rigid motion that is recognised in printed digits contains so many times their rounding of elastic ones.
+# A rigid motion recognised in printed digits may contain elastic ones of this multiple of their rounding.
 RECOGNISED = 1e3
 
 
@@ -67,20 +67,20 @@ class Conflict(ReadOnly):
     normal: Vector  # (m,) y, the largest weight one
     tie: Vector  # (k,) n
     excess: float  # -(g'y + b'n) [length]
-    rounding: float  # what rounding of the data could make of that [length]
-    exact: bool  # whether the weighted rows cancel in rational numbers, or to rounding of their entries
+    rounding: float  # its possible rounding by the data [length]
+    exact: bool  # whether the weighted rows cancel exactly, else to rounding
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenMotion(ReadOnly):
     """A motion z with K z = 0, E z <= 0 (E_N z <= -mu |E_T z| with friction), A z = 0 and f'z > 0.
 
-    Along it nothing resists the load; without friction the energy falls for ever.
+    Along it nothing resists the load; without friction the energy is unbounded below.
     """
 
     motion: Vector  # (n,), the largest entry one
     work: float  # f'z [force]
-    rounding: float  # what rounding of the data could make of that [force]
+    rounding: float  # its possible rounding by the data [force]
 
 
 def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
@@ -106,7 +106,7 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
 
 
 def doubtful_drive(problem: ContactProblem) -> str:
-    """Say which motion a load drives that may be the rounding of other loads, as F sin(pi) is; empty without one."""
+    """Return a text on a driven motion whose load may be a rounding error such as F sin(pi), else an empty one."""
     found = None if contacts_are_many(problem) else driven_motion(problem, condense(problem).rigid, doubtful=True)
     why = "; a load on a motion that nothing holds back is so small that it may be rounding of other loads"
     cure = "state it as zero, or hold the motion"
@@ -114,7 +114,7 @@ def doubtful_drive(problem: ContactProblem) -> str:
 
 
 def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool = False) -> DrivenMotion | None:
-    """Return a rigid motion that gains energy from the load and that no row resists, proven or `doubtful`.
+    """Return a rigid motion that the load drives and no row resists, proven or `doubtful`.
 
     max f'Z a  over  E Z a <= 0, A Z a = 0, |a| <= 1 is positive exactly when the energy is unbounded below on the
     constraints' recession cone (Frank and Wolfe 1956). With friction E are the `resisting_rows`.
@@ -129,7 +129,7 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
     if coordinates is None:
         return None
-    for stated in _stated_ahead(problem):  # a translation says more than what gains most
+    for stated in _stated_ahead(problem):  # a translation is clearer than the steepest motion
         simple = _proven_drive(problem, rigid, resisting, stated)
         if simple is not None and (doubtful or simple.work > simple.rounding):
             return simple
@@ -150,10 +150,7 @@ def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
 
 
 def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
-    """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, in floats; None where there are none.
-
-    The rows are of unit size.
-    """
+    """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, for unit rows in floats, else None."""
     coordinates = _steepest(drive, normal, tie)
     if coordinates is None:
         return None
@@ -162,13 +159,13 @@ def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
 
 
 def _uncertainty(problem: ContactProblem, rigid: RigidMotions) -> float:
-    """Return the relative size of elastic motions that a rigid one may contain; after printed digits it is larger."""
+    """Return the relative size of elastic motions that a rigid one may contain, larger for printed stiffnesses."""
     recognised = RECOGNISED * problem.rigid_change if problem.near_null_space is None else 0.0
     return max(rigid.uncertainty, recognised)
 
 
 def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, z: Vector) -> DrivenMotion | None:
-    """Return the motion z if K z, (E z)+ and A z are rounding and the load does work on it; else None."""
+    """Return the motion z if K z, (E z)+ and A z are rounding errors and the load does work on it, else None."""
     uncertainty, scale = _uncertainty(problem, rigid), _positive_scale(problem)
     still = _still(z, scale)
     for rows, signed in ((problem.stiffness_rows, False), (resisting, True), (problem.tie, False)):
@@ -180,25 +177,25 @@ def _proven_drive(problem: ContactProblem, rigid: RigidMotions, resisting: Any, 
     work = extend(problem.load).dot(extend(z))
     rounding = max(
         max(BALANCED, uncertainty) * float(size @ abs(z)),
-        # Of loads beside much larger ones: F sin(pi) is none.
+        # The least load beside much larger ones, so that F sin(pi) does not count.
         max(IDLE, uncertainty) * float(np.linalg.norm(scale * size) * np.linalg.norm(z / scale)),
     )
     return DrivenMotion(z, work, rounding) if work > 0 else None
 
 
 def _positive_scale(problem: ContactProblem) -> Vector:
-    """Return D (n,): that through rows, in any unit, and where these lead to nothing stiff what scales systems."""
+    """Return D (n,), the scale through rows, or where these reach nothing stiff the scale of systems."""
     joined = scale_through_rows(problem)
     return np.where(joined > 0, joined, unknown_scale(problem))
 
 
 def _still(motions: Array, scale: Vector) -> Array:
-    """Return the size at each unknown of which the rounding of motions (n,) or (n, r) is a part."""
+    """Return the size at each unknown to which the rounding of motions (n,) or (n, r) is relative."""
     return np.asarray((scale * np.max(abs(motions.T) / scale, axis=-1, keepdims=True)).T)
 
 
 def _unit(rows: Any, Z: Array, still: Array) -> Array:
-    """Return how far rigid motions move rows, each row divided by its size; zero where that is rounding."""
+    """Return the displacements of unit rows by rigid motions, zero where they are rounding errors."""
     values = rows @ Z
     if not len(values):
         return np.zeros((0, Z.shape[1]))
@@ -209,9 +206,9 @@ def _unit(rows: Any, Z: Array, still: Array) -> Array:
 
 
 def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
-    """Return the coordinates, at most one each, that gain most energy and that no row resists; None if none are found.
+    """Return the coordinates, each at most one, of the steepest unresisted motion, None if there is none.
 
-    Where every row resists a single coordinate, each is taken on its own; else they are found by a linear program.
+    If every row resists a single coordinate, each is treated separately, else a linear program is solved.
     """
     if touch_one_each(normal) and touch_one_each(tie):
         ahead = np.sign(drive)
@@ -232,12 +229,12 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
 
 
 def touch_one_each(rows: Array) -> bool:
-    """Return whether no row of (r, q) has more than one entry."""
+    """Return whether every row of (r, q) has at most one entry."""
     return bool(np.all(np.count_nonzero(rows, axis=1) <= 1))
 
 
 def _without_artefacts(coordinates: Array, normal: Array, tie: Array) -> Array:
-    """Return coordinates that meet exactly the rows which a linear program met to its tolerance."""
+    """Return coordinates that satisfy exactly the rows that a linear program satisfied to its tolerance."""
     met = np.vstack([normal[abs(normal @ coordinates) <= DRIVEN], tie])
     if len(met):
         values, rotation = right_singular(met)
@@ -252,7 +249,7 @@ def refuse_conflict(problem: ContactProblem, condensation: Condensation) -> None
 
 
 def refuse_sparse_conflict(problem: ContactProblem) -> None:
-    """Raise NoEquilibrium as `refuse_conflict` does, by sparse rows and without condensing."""
+    """Raise NoEquilibrium as `refuse_conflict` does, with sparse rows and without condensing."""
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     twin, scaling = equilibrated(problem)
     lengths = float(np.max(abs(np.concatenate([np.minimum(twin.gap, 0.0), twin.tie_value])), initial=0.0))
@@ -261,7 +258,7 @@ def refuse_sparse_conflict(problem: ContactProblem) -> None:
 
 
 def refuse_proven(problem: ContactProblem, found: Conflict | None) -> None:
-    """Raise NoEquilibrium with a conflict, if there is one; the message names its rows."""
+    """Raise NoEquilibrium with a conflict, unless it is None; the message names its rows."""
     if found is None:
         return
     names = [problem.contact_name(int(i)) for i in np.flatnonzero(found.normal)]
@@ -271,19 +268,19 @@ def refuse_proven(problem: ContactProblem, found: Conflict | None) -> None:
 
 
 def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | None:
-    """Return the weights of constraints that conflict beyond the rounding of the data, if it is proven; else None."""
+    """Return the proven weights of constraints that conflict beyond rounding of the data, else None."""
     rows = sp.csr_matrix(np.vstack([condensation.normal, condensation.tie]))
     return _conflict(problem, rows, condensation.scale)
 
 
 def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector | None = None) -> Conflict | None:
-    """Return the weights of rows (m + k, q) that conflict, over unknowns of scales (q,); None where none do.
+    """Return the weights of conflicting rows (m + k, q), over unknowns of scales (q,), else None.
 
-    Where K gives rows no scale, `least` (m + k,) are the lengths whose rounding is forgiven in each.
+    Where K gives rows no scale, their rounding is measured by the lengths `least` (m + k,).
 
     The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict,
-    and its multipliers are Farkas' proof. A linear program has a tolerance: where it removes the excess of the last
-    one up to that, another starts from there, and its excess counts as one (Gleixner, Steffy and Wolter 2016).
+    and its multipliers are Farkas' proof. If a linear program removes the excess up to its tolerance, another one
+    starts from there with the remaining excess scaled to one (Gleixner, Steffy and Wolter 2016).
     """
     limit, m = np.concatenate([problem.gap, problem.tie_value]), problem.contacts
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
@@ -295,7 +292,7 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
         if np.all(missing <= WITHIN_ROUNDING * (sizes @ abs(u) + abs(limit))):
             return None
         size = float(np.max(missing / length))
-        if size == 0:  # less than doubles hold, beside rows so long
+        if size == 0:  # below rounding of rows of this length
             return None
         step, remaining, weight = _least_excess(sp.diags(1.0 / length) @ scaled, left / length / size, m)
         if step is None:
@@ -308,7 +305,7 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
 
 
 def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
-    """Return the step of least excess of unit rows, the excess, and the weights (m + k,) that prove it."""
+    """Return the step of least excess of unit rows, the excess, and its multipliers (m + k,)."""
     from scipy.optimize import linprog
 
     q, count = unit.shape
@@ -331,13 +328,13 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
     """Raise NoEquilibrium if a load drives a motion that neither K nor a row resists, without condensing.
 
     The motion z with K z = 0, E z <= 0, A z = 0 along which the load does most work, its entries at most one in scaled
-    unknowns, comes from a linear program; what it violates is formed anew in extended precision.
+    unknowns, comes from a linear program; its residuals are then formed in extended precision.
     """
     from scipy.optimize import linprog
 
     twin, _ = equilibrated(problem)
     if np.all(np.diff(twin.stiffness_rows.indptr)):
-        return  # a linear program in the whole K may take for ever, and no unknown is without stiffness
+        return  # no unknown lacks stiffness, and a linear program in the whole K may take too long
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
     held = held[np.flatnonzero(np.diff(held.indptr))]
     answer = linprog(
@@ -355,10 +352,10 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
 
 
 def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool = False) -> None:
-    """Raise NoEquilibrium if a motion near this one (n,), of scaled unknowns, is driven and nothing resists it.
+    """Raise NoEquilibrium if a motion near this one (n,), in scaled unknowns, is driven and unresisted.
 
-    With `strictly` K z is zero to the last digit: along smooth motions of long chains a regular K resists no more than
-    by rounding of its entries.
+    With `strictly` K z must be exactly zero, as a regular K resists smooth motions of long chains by no more than
+    rounding of its entries.
     """
     twin, scaling = equilibrated(problem)
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
@@ -366,9 +363,9 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
     z: Vector = np.where(abs(motion) > DRIVEN * np.max(abs(motion), initial=0.0), motion, 0.0)
     z = _projected(twin, held, z)
     stiff = np.diff(twin.stiffness_rows.indptr) > 0
-    # Bodies may be balanced by a load to the digits that it has; the costs of a linear program are what they are.
+    # Loads may be balanced up to their digits only, while the costs of a linear program are taken as exact.
     least = DRIVEN * float(np.max(abs(twin.load))) if np.any(z[stiff]) else 0.0
-    for motion in (np.round(z), z):  # whole numbers are exact, where they will do
+    for motion in (np.round(z), z):  # exact with integers, where they suffice
         work = float(extend(twin.load).dot(extend(motion)))
         rounding = WITHIN_ROUNDING * float(abs(twin.load) @ abs(motion))
         if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
@@ -382,7 +379,7 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
-    """Return a motion corrected so that it does not move the rows which a linear program met to its tolerance."""
+    """Return a motion corrected to satisfy exactly the rows that a linear program satisfied to its tolerance."""
     from scipy.sparse.linalg import lsqr
 
     moved = problem.normal @ motion
@@ -406,10 +403,10 @@ def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> b
 
 
 def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Vector, scale: Vector) -> Conflict | None:
-    """Return Farkas' proof on the rows that take part, or None.
+    """Return Farkas' proof on the rows with weights, or None.
 
-    Weights are rational numbers, or, where the rows cancel to rounding only, the best floats, whose sums are formed
-    exactly. `sizes` (m + k,) are the lengths that meet in each row.
+    Weights are rational, or, if the rows cancel to rounding only, floats whose sums are formed exactly. `sizes` (m +
+    k,) are the lengths that meet in each row.
     """
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
     own = abs(weight) * np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
@@ -440,15 +437,15 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
 
 
 def _cancelling(rows: Array) -> list[Fraction] | None:
-    """Return the rational weights with which rows cancel, by elimination; None unless they are one up to a factor."""
+    """Return the rational weights with which rows cancel, by elimination, None unless unique up to a factor."""
     touched = np.flatnonzero(np.any(rows != 0, axis=0))
-    balance = [[*(Fraction(float(x)) for x in rows[:, j]), ZERO] for j in touched]  # one equation an unknown
+    balance = [[*(Fraction(float(x)) for x in rows[:, j]), ZERO] for j in touched]  # one equation per unknown
     found = solutions(balance, len(rows))
     return found.free[0] if found is not None and len(found.free) == 1 else None
 
 
 def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:
-    """Return the weights as ratios of small whole numbers, if the rows of a CSC matrix then cancel exactly."""
+    """Return the weights rounded to ratios of small integers if the rows of a CSC matrix then cancel exactly."""
     largest = float(np.max(abs(weight)))
     found = [Fraction(float(w) / largest).limit_denominator(LARGEST_DENOMINATOR) for w in weight]
     return found if all(not sum(terms, Fraction(0)) for terms in _terms(rows, found)) else None
@@ -475,9 +472,9 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
 
 
 def conflict_of(problem: ContactProblem, scale: Vector, weights: Vector) -> Conflict | None:
-    """Return weights (m + k,) as a conflict if rows cancel to the rounding of entries and overlap by more than that.
+    """Return weights (m + k,) as a conflict if rows cancel to rounding and overlap by more than that.
 
-    Solutions are looked for within SOUGHT times the largest imposed length; scale (n,) is that of unknowns.
+    Displacements within SOUGHT times the largest imposed length are excluded; scale (n,) is that of unknowns.
     """
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     limit, weights = np.concatenate([problem.gap, problem.tie_value]), weights / np.max(abs(weights))

@@ -24,12 +24,12 @@ from contactqp.model.solution import Answer, AnswerOf
 
 # The rounding of twice double precision, for numbers as they are added and multiplied here.
 FINE_EPS = 2.0**-104
-# Rows with more entries are summed on their own, in pairs.
+# Rows with more entries are summed separately, in pairs.
 LONG = 2**9
-# Unknowns and rows of a problem, squared, up to which all its matrices are one array, zeros included: products with
-# zeros cost less than looking entries up.
+# The squared number of unknowns and rows up to which all matrices are stored as one dense array, as products with zeros
+# are cheaper than indexing.
 ONE_ARRAY = 2**13
-# Entries of a block whose products are formed at once: calls cost less than that, and all of it stays in the cache.
+# The number of products formed at once, large compared with the cost of calls and small enough for the cache.
 WORTH_A_CALL = 2**15
 _SPLITTER = 2.0**27 + 1.0
 _NONE: Array = np.zeros(0)  # a sum without terms
@@ -68,7 +68,7 @@ class Extended:
         return self + (-other)
 
     def parted(self, *places: int) -> list[Extended]:
-        """Return the parts between these places, which share their entries with the whole."""
+        """Return the parts between these indices as views."""
         ends = zip((0, *places), (*places, len(self.hi)), strict=True)
         return [_holding(self.hi[start:end], self.lo[start:end]) for start, end in ends]
 
@@ -112,7 +112,7 @@ class Extended:
 
 
 def _holding(hi: Array, lo: Array) -> Extended:
-    """Return hi + lo of two arrays that are used nowhere else and therefore not copied."""
+    """Return hi + lo of two arrays without copying them."""
     made = object.__new__(Extended)
     made.hi, made.lo = hi, lo
     return made
@@ -126,7 +126,7 @@ def joined(*parts: Extended) -> Extended:
 
 
 def extend(values: Any) -> Extended:
-    """Return a vector of doubles, or one that is extended already, in extended precision."""
+    """Return a vector in extended precision, from doubles or extended ones."""
     return values if isinstance(values, Extended) else Extended(values)
 
 
@@ -183,7 +183,7 @@ class SparseRows:
 def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Array]:
     """Return the rounded sums (q,) of the rows of a block times a vector, and their errors.
 
-    Products are formed for as many slots at once as make an operation worth its call.
+    Products are formed for several slots at once.
     """
     width, count = block.values.shape
     total, rest = _NONE, _NONE
@@ -205,7 +205,7 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
 def _added(terms: Array, errors: Array) -> tuple[Array, Array]:
     """Return the rounded sum of terms (q, ...) over the first axis and its error, those of the terms included.
 
-    They are added in pairs, in place: both arrays are nobody else's.
+    They are added in pairs and in place, which overwrites both arrays.
     """
     count = len(terms)
     while count > 1:
@@ -277,9 +277,9 @@ class DenseRows:
 
 
 class ClearedRows:
-    """Q'KQ with Q = I - Z Y', Y'Z = I: a stiffness whose rounding along rigid motions Z (n, r) is taken away.
+    """Q'KQ with Q = I - Z Y', Y'Z = I: a stiffness without rounding along rigid motions Z (n, r).
 
-    Z and Y are doubles; what Y'Z misses of one by rounding is rounding of K's rounding.
+    Z and Y are doubles; the rounding error of Y'Z = I is of second order.
     """
 
     def __init__(self, stiffness: ExtendedMatrix, motions: Array, inverse: Array) -> None:
@@ -294,7 +294,7 @@ class ClearedRows:
 
 
 class ExtendedRows:
-    """The matrices of a problem, for products in extended precision; each is laid out when it is asked for."""
+    """The matrices of a problem for products in extended precision, each formed on first use."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._of_stiffness = problem._computed.of_stiffness
@@ -366,7 +366,7 @@ class ExtendedRows:
         return SparseRows(self._given[3].T)
 
     def lay_out(self) -> None:
-        """Lay out what residuals of an answer are formed with."""
+        """Form the matrices needed for residuals in advance."""
         for name in ("stiffness", "outward", "normal", "tie") if self.together is None else ():
             getattr(self, name)
 
@@ -398,7 +398,7 @@ class ExtendedRows:
 
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
-    """Return the rows for extended precision; they are formed once and shared by all that `replace` derives."""
+    """Return the rows for extended precision, formed once and shared by `replace`."""
     if problem._computed.extended is None:
         problem._computed.extended = ExtendedRows(problem)
     rows: ExtendedRows = problem._computed.extended
@@ -414,7 +414,7 @@ class ExtendedAnswer(AnswerOf[Extended, Extended | Array | None]):
 
     @classmethod
     def of(cls, answer: Answer) -> ExtendedAnswer:
-        """Return the answer that these doubles are."""
+        """Return an answer in doubles in extended precision."""
         u, normal, tie = Extended(answer.displacement), Extended(answer.normal_force), Extended(answer.tie_force)
         return cls(u, normal, answer.friction_force, tie)
 

@@ -1,7 +1,6 @@
-"""Sparse direct solvers behind one small interface; rigid motions of a singular stiffness, and unknowns that hold them.
+"""Sparse direct solvers with a common interface, rigid motions of a singular stiffness, and unknowns that fix them.
 
-Retained beside those that contacts and ties touch, the unknowns that hold floating bodies leave no rigid motion to the
-interior: it can be factorised.
+If these unknowns are retained with those of contacts and ties, the interior is regular and can be factorised.
 """
 
 from __future__ import annotations
@@ -25,29 +24,29 @@ from contactqp.linalg.dense import (
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, inverse_root
 
-# Motions whose energy falls below this, K scaled to unit diagonal, are tested for being rigid.
+# Motions with energy below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
 # SuperLU's settings for a symmetric matrix: pivots from the diagonal, so that they are those of L D L', and an ordering
 # of the pattern of A + A' that keeps the factors sparse.
 DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 MINIMUM_DEGREE = "MMD_AT_PLUS_A"
-# Entries that an incomplete factorisation drops where it meets them, beside a diagonal of one.
+# The drop tolerance of an incomplete factorisation, with a unit diagonal.
 DROPPED = 1e-3
-# Rounding of K leaves |K z| of a rigid motion at a few eps of |K||z|, unknown by unknown, and its energy, where signs
-# alternate, within one of |z|'|K||z|: half of it is one rounding of every entry, and entries are sums of products.
+# For a rigid motion z, rounding of K gives |K z| of a few eps of |K||z| at each unknown, and an energy, by alternating
+# signs, of at most one eps of |z|'|K||z|.
 RIGID_FORCE = 32 * EPS
 RIGID_ENERGY = EPS
-# Steps of conjugate gradients that spread forces over a body, at most, and the part of |K||z| that ends them.
+# The most steps of conjugate gradients that distribute forces over a body, and their tolerance relative to |K||z|.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
-# Nodes of a body that are retained where it may float: three that are no line hold it.
+# The number of nodes retained in a body that may float; three that are not collinear fix it.
 FAR_APART = 4
-# Motions, their largest unknown at one, that the retained unknowns hold by less than this part of the best held one, or
-# of one, get an unknown more to hold them.
+# Further unknowns are retained for motions, with largest entry one, that are fixed by less than this part of one, or of
+# the best fixed one.
 HARDLY_HELD = 1e-4
-# Where the processor has floats of 64 digits, sums of at most so many terms lose no more than half an eps of the sum of
-# sizes in them: enough for what is told from the rounding of doubles, in a third of the time.
+# With floats of 64 binary digits, sums of this many terms are accurate to half an eps of the sum of sizes, which
+# suffices for tests against rounding of doubles, in a third of the time.
 SHORT = 2**11
-# Entries of K that are held as such floats at one time.
+# The number of entries of K converted to such floats at a time.
 ENTRIES_AT_ONCE = 2**20
 
 
@@ -76,8 +75,8 @@ class SuperLU:
 def fill_reducing_order(matrix: Any) -> Indices:
     """Return the order of elimination (n,) that minimum degree finds for the pattern of a symmetric matrix.
 
-    SciPy has no function for it. But SuperLU orders before it factorises, and where every entry beside the diagonal is
-    dropped the factorisation costs nothing.
+    SciPy has no function for it, so SuperLU is run with all off-diagonal entries dropped, which costs only the
+    ordering.
     """
     from scipy.sparse.linalg import spilu
 
@@ -89,15 +88,14 @@ def fill_reducing_order(matrix: Any) -> Indices:
 
 
 def forget_triangles(factor: Any) -> None:
-    """Empty the L and U that SciPy makes and keeps when one of them is looked at: they take as much memory again as
-    the factors, which `solve` goes on to use."""
+    """Empty the copies L and U that SciPy makes on access, which take as much memory as the factors used by `solve`."""
     for triangle in (factor.L, factor.U):
         triangle.data, triangle.indices = triangle.data[:0].copy(), triangle.indices[:0].copy()
         triangle.indptr = np.zeros_like(triangle.indptr)
 
 
 def with_added_diagonal(matrix: Any, added: Array) -> Any:
-    """Return a square CSR matrix with (n,) added to its diagonal; where all of that is stored, its pattern stays."""
+    """Return a square CSR matrix with (n,) added to its diagonal, keeping its pattern if the diagonal is stored."""
     by_rows = sp.csr_matrix(matrix)
     rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
     at = np.flatnonzero(by_rows.indices == rows)
@@ -109,7 +107,7 @@ def with_added_diagonal(matrix: Any, added: Array) -> Any:
 
 
 def factorise(matrix: Any) -> Factorization:
-    """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` says how near to singular it is.
+    """Factorise a symmetric positive semidefinite matrix; `smallest_pivot` measures its distance from singular.
 
     Raises InvalidProblem: a pivot is negative beyond rounding: the matrix is indefinite.
     """
@@ -121,7 +119,7 @@ def factorise(matrix: Any) -> Factorization:
 
 
 def right_singular(rows: Array) -> tuple[Array, Array]:
-    """Return the singular values of rows (k, r), and all right singular vectors (r, r), one a row."""
+    """Return the singular values of rows (k, r), and all right singular vectors (r, r) as rows."""
     _, values, rotation = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
     return values, rotation
 
@@ -137,12 +135,12 @@ def images(matrix: Any, columns: Array) -> Array:
 
 
 def _long_images(rows: Any, columns: Array) -> Array:
-    """Return K z of every column in floats of 64 digits, some rows at a time, as a copy of K takes twice its memory."""
+    """Return K z of every column in floats of 64 binary digits, some rows at a time to save memory."""
     long, parts = np.array(columns.T, dtype=np.longdouble, order="C"), max(1, rows.nnz // ENTRIES_AT_ONCE)
     found, ends = np.empty((rows.shape[0], len(long))), [rows.shape[0] * i // parts for i in range(parts + 1)]
     for i, j in pairwise(ends):
         block = rows[i:j].astype(np.longdouble)
-        for column, z in zip(found.T, long, strict=True):  # one by one takes half the time of all at once
+        for column, z in zip(found.T, long, strict=True):  # twice as fast one by one
             column[i:j] = block @ z
     return found
 
@@ -157,8 +155,8 @@ def is_rigid(matrix: Any, motions: Array) -> Mask:
     """Return which columns z satisfy K z = 0 to rounding, at every unknown and in energy.
 
     |K z|_j <= RIGID_FORCE (|K||z|)_j at every unknown j, and z'Kz <= RIGID_ENERGY |z|'|K||z|: a soft spring at one end
-    of a long chain spreads its force over all unknowns of the lowest motion, but not its energy. `matrix` has a
-    diagonal of about one. An unknown at rest among unknowns at rest is measured against the largest motion.
+    of a long chain distributes its force over all unknowns of the lowest motion, but the energy shows it. `matrix` has
+    a diagonal of about one. An unknown at rest among others at rest is compared with the largest motion.
     """
     return _is_rigid(motions, images(matrix, motions), abs(matrix) @ abs(motions))
 
@@ -171,12 +169,12 @@ def _is_rigid(motions: Array, forces: Array, size: Array) -> Mask:
     return np.asarray(still & (energy <= RIGID_ENERGY * scale))
 
 
-# A matrix of so many rows is searched before SciPy has checked it, and so many pairs are gone through one by one.
+# Up to this number of rows or pairs a loop in Python is faster than SciPy.
 FEW, FEW_PAIRS = 16, 64
 
 
 def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, NDArray[np.int32]]:
-    """Return what `connected_parts` does, of a small symmetric CSR matrix, going from row to row."""
+    """Return the result of `connected_parts` for a small symmetric CSR matrix, by a loop over rows."""
     label, count = [-1] * (len(indptr) - 1), 0
     for first in range(len(label)):
         if label[first] >= 0:
@@ -193,11 +191,11 @@ def _few_connected_parts(indptr: list[int], indices: list[int]) -> tuple[int, ND
 
 
 def widest_level(matrix: sp.csr_matrix) -> int | None:
-    """Return the most unknowns of a level of the breadth-first search from an end; None where it has several parts."""
+    """Return the largest level of a breadth-first search from an end, None if the matrix has several parts."""
     from scipy.sparse.csgraph import breadth_first_order
 
     n, start, starts = matrix.shape[0], 0, [0]
-    for _ in range(2):  # the last that is reached from anywhere is at an end
+    for _ in range(2):  # the last unknown reached is at an end
         order, before = breadth_first_order(matrix, start, directed=False)
         if len(order) < n:
             return None
@@ -211,20 +209,20 @@ def widest_level(matrix: sp.csr_matrix) -> int | None:
 
 
 def connected_parts(matrix: Any) -> tuple[int, NDArray[np.int32]]:
-    """Return how many connected parts a symmetric matrix has, and which of them each unknown belongs to (n,)."""
+    """Return the number of connected parts of a symmetric matrix, and the part of each unknown (n,)."""
     size = matrix.shape[0]
     if size <= FEW and matrix.format == "csr":
         return _few_connected_parts(matrix.indptr.tolist(), matrix.indices.tolist())
     from scipy.sparse.csgraph import breadth_first_order, connected_components
 
     if size and len(breadth_first_order(matrix, 0, return_predecessors=False)) == size:
-        return 1, np.zeros(size, dtype=np.int32)  # one body, which a search from its first unknown tells at once
+        return 1, np.zeros(size, dtype=np.int32)  # one body, as a search from its first unknown shows
     count, label = connected_components(matrix, directed=False)
     return int(count), label
 
 
 def joined_parts(count: int, one: Indices, other: Indices) -> Indices:
-    """Return the number of the part that each of `count` bodies belongs to, pairs of them being joined."""
+    """Return the part that each of `count` bodies belongs to, with pairs of them joined."""
     if len(one) > FEW_PAIRS or count > FEW_PAIRS:
         joined = sp.coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
         return np.asarray(connected_parts(joined)[1])
@@ -239,8 +237,7 @@ def joined_parts(count: int, one: Indices, other: Indices) -> Indices:
 def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:
     """Return the combinations of motions (n, q) that are rigid, component by component of a matrix's graph.
 
-    Each is that of one component, with K z = 0 to rounding (`is_rigid`), |K| being `sizes`; what is not among them may
-    float all the same.
+    Each is that of one component, with K z = 0 to rounding (`is_rigid`), |K| being `sizes`; there may be further ones.
     """
     graph = sp.csr_matrix(matrix)
     root = 1 / inverse_root(graph.diagonal())
@@ -249,7 +246,7 @@ def stated_motions(matrix: Any, sizes: Any, motions: Array) -> RigidMotions:
 
 
 def _soft_by_part(graph: Any, root: Array, motions: Array) -> Array:
-    """Return combinations (n, r) of motions (n, q) of next to no energy, each of one connected part of a matrix."""
+    """Return combinations (n, r) of motions (n, q) with negligible energy, each of one connected part."""
     moving, forces = root[:, None] * motions, (graph @ motions) / root[:, None]
     count, label = connected_parts(graph)
     found: list[Array] = []
@@ -262,7 +259,7 @@ def _soft_by_part(graph: Any, root: Array, motions: Array) -> Array:
 
 
 def _rigid_among(graph: Any, root: Array, motions: Array, size: Array) -> RigidMotions:
-    """Select the rigid ones of some motions z (n, q), |K||z| being `size`, with the forces that K's rounding leaves."""
+    """Select the rigid ones of motions z (n, q), with |K||z| as `size`, and return their forces by rounding of K."""
     if not motions.shape[1]:
         return RigidMotions(motions)
     forces, root = images(graph, motions), root[:, None]
@@ -271,7 +268,7 @@ def _rigid_among(graph: Any, root: Array, motions: Array, size: Array) -> RigidM
 
 
 def _least_energetic(motions: Array, forces: Array) -> Array:
-    """Return orthonormal combinations of motions (p, q) of next to no energy, by their forces K z (p, q)."""
+    """Return orthonormal combinations of motions (p, q) with negligible energy, from their forces K z (p, q)."""
     basis, values, rotation = np.linalg.svd(motions, full_matrices=False)
     kept = values > EPS * max(motions.shape) * np.max(values, initial=0.0)
     if not np.any(kept):
@@ -307,7 +304,7 @@ def null_space(matrix: Any) -> RigidMotions:
 def condensed_null_space(matrix: Any, retained: Indices, elimination: Any, scale: Array) -> RigidMotions:
     """Return the null space of K where the interior is regular: that of S, expanded to all unknowns.
 
-    Where S has soft motions that are not rigid, K itself is asked.
+    If S has soft motions that are not rigid, K itself is used.
 
     Parameters
     ----------
@@ -330,7 +327,7 @@ def condensed_null_space(matrix: Any, retained: Indices, elimination: Any, scale
     motions = _soft_by_part(graph, root, elimination.expand_motions(scale[:, None] * soft))
     size = abs(graph) @ abs(motions)
     found = _rigid_among(graph, root, _spread(graph, root, motions, graph @ motions, size), size)
-    if found.count < wanted:  # what is spread was itself rounding of doubles, perhaps
+    if found.count < wanted:  # the forces may be rounding errors themselves
         found = _rigid_among(graph, root, _spread(graph, root, motions, images(graph, motions), size), size)
     if found.count < wanted:
         return null_space(matrix)
@@ -338,12 +335,10 @@ def condensed_null_space(matrix: Any, retained: Indices, elimination: Any, scale
 
 
 def _spread(matrix: Any, root: Array, motions: Array, gathered: Array, size: Array) -> Array:
-    """Return rigid motions whose forces K z are rounding at every unknown, not gathered at few as elimination leaves
-    them.
+    """Return rigid motions whose forces K z are rounding errors at every unknown, instead of concentrated at a few.
 
-    Of motions z (n, r) are given the gathered forces (n, r) and their sizes |K||z| (n, r); `root` (n,) is sqrt(K_jj).
-
-    Steps of conjugate gradients on K s = K z, until K (z - s) is rounding at every unknown: it is what they leave.
+    Given are motions z (n, r), their forces `gathered` (n, r) and sizes |K||z| (n, r); `root` (n,) is sqrt(K_jj).
+    Conjugate gradients solve K s = K z until K (z - s) is rounding at every unknown.
     """
     inverse, spread = 1 / root**2, motions.copy()
     least = np.max(root[:, None] * abs(motions), axis=0, initial=0.0) * root[:, None]
@@ -381,13 +376,13 @@ def _null_space_of_component(component: Any) -> RigidMotions:
     size = component.shape[0]
     if size == 1:
         return RigidMotions(np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0)))
-    # Powers of two scale without rounding: a matrix that is exactly singular stays so.
+    # Scaling by powers of two does not round, so an exactly singular matrix stays singular.
     scale = 2.0 ** np.round(np.log2(inverse_root(component.diagonal())))
     scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))
     lowest, next_energy = _lowest_dense(scaled.toarray()) if size <= 3 * DENSE_SIZE else _lowest_sparse(scaled)
     if not lowest.shape[1]:
         return RigidMotions(lowest)
-    # Among soft motions rounding mixes the rigid with the nearly rigid; their energies, formed accurately, part them.
+    # Rounding mixes rigid with nearly rigid motions; accurately formed energies separate them.
     energies, rotation = np.linalg.eigh(lowest.T @ exact_images(scaled, lowest))
     lowest = lowest @ rotation
     rigid = is_rigid(scaled, lowest)
@@ -396,24 +391,24 @@ def _null_space_of_component(component: Any) -> RigidMotions:
 
 
 def _lowest_dense(scaled: Array) -> tuple[Array, float]:
-    """Return the soft motions of a dense matrix, and the energy of the first motion that is not."""
+    """Return the soft motions of a dense matrix, and the energy of the next motion."""
     from scipy.linalg import eigh
 
     values, vectors = eigh(scaled)
     soft = values <= SOFT
     lowest, others = vectors[:, soft], vectors[:, ~soft]
     for _ in range(2):
-        # Refinement takes out what rounding mixed in of the stiff motions.
+        # Refinement removes components of stiff motions by rounding.
         lowest = lowest - others @ ((others.T @ exact_images(scaled, lowest)) / values[~soft, None])
     return lowest, float(np.min(values[~soft], initial=1.0))
 
 
 def _lowest_sparse(scaled: Any) -> tuple[Array, float]:
-    """Return the soft motions by inverse subspace iteration, and the energy of the first motion that is not."""
+    """Return the soft motions by inverse subspace iteration, and the energy of the next motion."""
     shifted = SuperLU(sp.csr_matrix(scaled + SOFT * sp.identity(scaled.shape[0])))
     lowest, next_energy = _lowest(scaled, shifted)
     for _ in range(2):
-        # K z of a rigid z is rounding; solved for, it is what keeps z from being rigid.
+        # For a rigid z, K z is rounding; solving for it gives the error of z.
         lowest = lowest - shifted.solve(exact_images(scaled, lowest))
     return lowest, next_energy
 
@@ -436,9 +431,9 @@ def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
 
 
 def unknowns_far_apart(stiffness: Any) -> Indices:
-    """Return the unknowns of `FAR_APART` nodes of every body, each as far from those before as the graph of K allows.
+    """Return the unknowns of `FAR_APART` nodes of every body, each as far from the others as the graph of K allows.
 
-    Unknowns that K couples with the same others are those of one node.
+    Unknowns that K couples with the same others form a node.
     """
     graph = sp.csr_matrix(stiffness)
     _, label = connected_parts(graph)
@@ -452,15 +447,15 @@ def unknowns_far_apart(stiffness: Any) -> Indices:
 
 
 def _hops_away(graph: Any, starts: Indices) -> Indices:
-    """Return the distance of each unknown from the nearest start (n,), in entries of K; every body has a start."""
+    """Return the distance (n,) in the graph of K from the nearest start; every body has one."""
     from scipy.sparse.csgraph import breadth_first_order
 
-    size = graph.shape[0]  # and the number of an unknown more, from which the search starts
+    size = graph.shape[0]  # with an additional unknown, from which the search starts
     indices = np.concatenate([graph.indices, starts.astype(graph.indices.dtype)])
     rows = np.append(graph.indptr, len(indices)).astype(graph.indptr.dtype)
     searched = sp.csr_matrix((np.ones(len(indices)), indices, rows), shape=(size + 1, size + 1))
     _, before = breadth_first_order(searched, size)
-    ahead = np.where(before < 0, np.arange(size + 1), before)  # who found each: nobody the first, which stays put
+    ahead = np.where(before < 0, np.arange(size + 1), before)  # predecessors; the first one has none
     hops = (before >= 0).astype(np.intp)
     while np.any(hops[ahead]):
         hops, ahead = hops + hops[ahead], ahead[ahead]
@@ -475,7 +470,7 @@ def _of_same_node(graph: Any, j: int) -> Indices:
 
 
 def fixing_unknowns(motions: Array, retained: Indices, diagonal: Array) -> Indices:
-    """Return stiff unknowns that, held together with the retained ones, leave no rigid motion to the interior."""
+    """Return stiff unknowns that together with the retained ones prevent rigid motions of the interior."""
     from scipy.linalg import qr
 
     if not motions.shape[1]:
@@ -485,7 +480,7 @@ def fixing_unknowns(motions: Array, retained: Indices, diagonal: Array) -> Indic
     free = scaled
     if retained.size:
         values, rotation = right_singular(scaled[retained])
-        held = values > HARDLY_HELD * max(1.0, np.max(values))  # what holds a motion by rounding holds nothing
+        held = values > HARDLY_HELD * max(1.0, np.max(values))  # entries of rounding size do not fix a motion
         free = scaled @ rotation[np.count_nonzero(held) :].T
     if not free.shape[1]:
         return np.zeros(0, dtype=np.intp)

@@ -1,17 +1,17 @@
-"""Bodies that no support holds: their rigid motions, where contacts stop them, and forces that balance the load.
+"""Floating bodies: their rigid motions, the position where contacts stop them, and forces that balance the load.
 
 With Z the rigid motions of all bodies as columns, a body moved by Z a touches without deforming where
 
     max f'Z a    subject to    E_N Z a <= g,  A Z a = b,
 
-a linear program with a few unknowns. Its multipliers are contact forces that balance the load on every motion, its
-active contacts hold the bodies, and where it is unbounded the load drives a motion that nothing holds back.
+a linear program with few unknowns. Its multipliers are contact forces that balance the load on every motion, its active
+contacts hold the bodies, and if it is unbounded the load drives a motion that nothing resists.
 
 Condensed, the answer on closed contacts B of bodies that may float comes from the null-space method (`NullSpace`;
-Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...). Rows
-that depend on others get no force, and rigid motions of K that no row resists stay at rest.
+Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...).
+Dependent rows get no force, and unresisted rigid motions of K are zero.
 
-Vectors are what one process has of them, as in `contactqp.linalg.contact_iteration`; sums are of all processes.
+Vectors are the part of one process, as in `contactqp.linalg.contact_iteration`; sums are over all processes.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# A motion of unit length that rows of unit length resist by less than this is not resisted.
+# A unit motion is not resisted by unit rows whose products with it are below this.
 UNRESISTED = 1e-9
 Lengths = Callable[[Vector], Vector]
 
 
-# A load that does at most this part of its work on a motion does none: it is rounding.
+# The work of a load on a motion is rounding below this part of the sum of its terms.
 WORKLESS = 1e-10
-# A multiplier of the linear program below this part of the largest is none.
+# Multipliers of the linear program below this part of the largest count as zero.
 NO_MULTIPLIER = 1e-9
-# SciPy's numbers for the end of a linear program.
+# SciPy's status codes of linear programs.
 _INFEASIBLE, _UNBOUNDED = 2, 3
 _DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
 
@@ -62,7 +62,7 @@ class MotionProjections:
             z -= self.motions @ self._processes.sum(self.motions.T @ (self._diagonal * z))
 
     def balanced(self, r: Vector) -> Vector:
-        """Return a force that does the same work on deformations and none on the motions."""
+        """Return the force with the same work on deformations and no work on the motions."""
         if not self.motions.shape[1]:
             return r.copy()
         return np.asarray(r - self._diagonal * (self.motions @ self._processes.sum(self.motions.T @ r)))
@@ -97,7 +97,7 @@ class FloatingMotions(MotionProjections):
         self._set_rows(lengths, compliance)
 
     def with_rows(self, lengths: Lengths, compliance: Vector) -> FloatingMotions:
-        """Return the same motions with other rows, the same contacts first, and their E_i D^-1 E_i'."""
+        """Return the motions with other rows, beginning with the same contacts, and their E_i D^-1 E_i'."""
         other = copy(self)
         other.__dict__.pop("moved", None)
         other._set_rows(lengths, compliance)
@@ -114,7 +114,7 @@ class FloatingMotions(MotionProjections):
 
     @cached_property
     def moved(self) -> Array:
-        """Return E Z (a, r), zero where it is rounding, as a row that a motion moves by no more does not resist it."""
+        """Return E Z (a, r), with rounding errors set to zero, so that these rows do not resist the motion."""
         own = np.sqrt(reciprocal(self._stiffness))
         columns = [np.zeros((len(own), 0))]
         for z in self.motions.T:
@@ -124,10 +124,10 @@ class FloatingMotions(MotionProjections):
         return np.hstack(columns)
 
     def resting(self, load: Vector, limit: Vector) -> tuple[Vector, Mask]:
-        """Return a rigid displacement (n_here,) where the load presses the bodies, and the contacts that stop them.
+        """Return the rigid displacement (n_here,) to which the load moves the bodies, and the contacts that stop them.
 
-        Raises NoEquilibrium: the load drives a motion that nothing holds back; NotConverged: the linear program found
-        no resting place, and no such motion.
+        Raises NoEquilibrium: the load drives a motion that nothing resists; NotConverged: the linear program found
+        neither a position nor such a motion.
         """
         work = self._work(load)
         every = self._processes.gathered(self.moved), self._processes.gathered(limit)
@@ -138,12 +138,12 @@ class FloatingMotions(MotionProjections):
         if isinstance(a, str):
             raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
         first = self._processes.offset(len(limit))
-        push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # whatever the scale of a row
+        push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # independent of the scale of a row
         pressed = push[first : first + self.contacts] > NO_MULTIPLIER * np.max(abs(push), initial=0.0)
         return self.motions @ a, pressed
 
     def loose(self, closed: Mask) -> Array:
-        """Return orthonormal coefficients (r, q) of the motions that no closed contact and no tie holds."""
+        """Return orthonormal coefficients (r, q) of the motions that no closed contact and no tie resists."""
         holding = np.append(closed, np.ones(len(self._stiffness) - self.contacts, dtype=bool))
         values, turned = self._singular_values(np.where(holding, self._stiffness, 0.0))
         return turned[:, values <= UNRESISTED * np.max(values, initial=0.0)]
@@ -156,14 +156,14 @@ class FloatingMotions(MotionProjections):
         return np.append(values, np.zeros(self.count - len(values))), turned.T
 
     def holds(self, closed: Mask, load: Vector) -> bool:
-        """Return whether closed contacts and ties hold every motion that the load drives."""
+        """Return whether closed contacts and ties resist every motion that the load drives."""
         loose, work = self.loose(closed), self._work(load)
         return not np.any(abs(loose.T @ work) > WORKLESS * (abs(loose).T @ abs(work)))
 
     def projections(self, rows: ConstrainedRows, closed: Mask) -> ConstrainedRows:
-        """Return the projections of constrained rows that also remove motions which no closed contact or tie holds.
+        """Return the projections of constrained rows that also remove motions that no closed contact or tie resists.
 
-        These motions would take an iterate anywhere, and other contacts with them.
+        Iterates are otherwise arbitrary along these motions.
         """
         loose = self.loose(closed) if self.count else np.zeros((0, 0))
         if not loose.shape[1]:
@@ -222,7 +222,7 @@ class _ProjectionsWithMotions:
 def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> tuple[Vector | str, Vector]:
     """Solve the linear program of rigid motions under a load.
 
-    Where bodies overlap so that no rigid motion parts them, what overlaps counts as touching.
+    Where no rigid motion removes an overlap of bodies, overlapping contacts count as touching.
 
     Parameters
     ----------
@@ -272,14 +272,14 @@ def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
     return found
 
 
-# Entries of a motion that are this part of its largest, in the unknowns' units and in the energy, are its rounding.
+# Entries of a motion below this part of its largest, both in units of the unknowns and of energy, are rounding errors.
 STANDS_STILL = 256 * EPS
 
 
 def that_move(problem: ContactProblem, motions: Array) -> Array:
-    """Return rigid motions (n, r) with zeros at the unknowns that no motion of their body moves beyond rounding.
+    """Return rigid motions (n, r) with rounding errors at unknowns set to zero.
 
-    Where forces act on such unknowns alone, their work would be rounding, measured against rounding.
+    If forces act only on such unknowns, their work would otherwise be rounding relative to rounding.
     """
     sizes = np.linalg.norm(motions, axis=1)
     still = np.ones(len(sizes), dtype=bool)
@@ -291,7 +291,7 @@ def that_move(problem: ContactProblem, motions: Array) -> Array:
 def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
     """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
 
-    It is |z'r| / |z|'F_outer of a motion z, r being the resultant of loads, contacts and ties.
+    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces.
     """
     rows = extended_rows(problem)
     if not rigid.count:
@@ -303,7 +303,7 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> f
 
 
 def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """Return the part of the outer forces that K, being rounded, makes of stated rigid motions; zero without these."""
+    """Return K z of stated rigid motions by rounding of K, relative to the outer forces, zero without such motions."""
     if problem.near_null_space is None or not rigid.count:
         return 0.0
     moved = rigid.motions @ rigid.coordinates(answer.displacement, problem.diagonal)
@@ -313,9 +313,7 @@ def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions
 
 
 def as_stated(motions: Array, stated: Array, body: Indices, weight: Vector) -> Array:
-    """Return for each body the stated motions that span its rigid ones; a combination of them would be rounded.
-
-    Where they do not, the rigid motions of that body are returned as they are.
+    """Return for each body the stated motions if they span its rigid ones, else these, to avoid rounded combinations.
 
     Parameters
     ----------
@@ -342,7 +340,7 @@ def _orthonormal_by_body(motions: Array) -> Array:
 
     Products of motions of different bodies are zero exactly, and Cholesky's factor keeps these zeros.
     """
-    largest = abs(motions).max(axis=0)  # squares of entries of 1e-160 are zero
+    largest = abs(motions).max(axis=0)  # squares of 1e-160 underflow
     coordinates = np.diag(1 / np.linalg.norm(motions / largest, axis=0) / largest)
     for _ in range(2):
         unit = motions @ coordinates
@@ -353,9 +351,9 @@ def _orthonormal_by_body(motions: Array) -> Array:
 def unresisted(motions: Array, bodies: Indices, rows: Array) -> Array:
     """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist.
 
-    In this scale stiff bodies move little beside soft ones, and how far a body moves is a question of units. What a
-    row may feel of each body, its largest entry there times the size of the motion, is therefore brought to one,
-    as far as a factor for every row and one for every body can, and what it does feel is measured by that.
+    The sizes of motions of different bodies depend on units and stiffness. So rows and bodies are scaled by factors
+    that bring the largest entry of a row on each body times the size of the motion near one, and products are compared
+    with that.
     """
     coordinates = _orthonormal_by_body(motions)
     if not len(rows) or not len(coordinates):
@@ -368,12 +366,12 @@ def unresisted(motions: Array, bodies: Indices, rows: Array) -> Array:
     return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 
-# Rows of unit length (in the energy scale) that are closer to dependent than this are dependent.
+# Unit rows (in the energy scale) are dependent if they are closer to dependence than this.
 DEPENDENT_IN_ENERGY = 1e-13
 
 
 class NullSpace:
-    """The null-space method: sets that are redundant, bodies that float, stiffnesses that lie far apart."""
+    """The null-space method, for redundant sets, floating bodies and a large range of stiffnesses."""
 
     def __init__(self, condensation: Condensed, closed: Indices, tied: bool = True) -> None:
         from scipy.linalg import qr
@@ -430,11 +428,11 @@ class NullSpace:
         return (x.T * self._scale).T, force[: len(self.closed)], force[len(self.closed) :]
 
     def exchange(self, entering: int, force: Vector) -> int | None:
-        """Return the place of the contact that must open for the dependent one at place `entering` to take its share.
+        """Return the index of the contact that opens when the dependent one of index `entering` closes.
 
         With row_j = sum c_k row_k over the independent rows, contact j takes force from those with c_k > 0; the first
-        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none: the rows
-        conflict.
+        whose force l_k (at position k of `closed`) reaches zero opens: min l_k / c_k. None if there is none, as the
+        rows conflict.
         """
         from scipy.linalg import solve_triangular
 
@@ -450,7 +448,7 @@ class NullSpace:
     def drive(self, load: Vector, size: Vector) -> Vector:
         """Return the scaled free motion (p,) along which a condensed load does work beyond the rounding of `size`.
 
-        Contacts and ties may carry a part of the load, which does no work on a free motion but for rounding.
+        The part carried by contacts and ties does no work on a free motion up to rounding.
         """
         if not self.free.shape[1]:
             return np.zeros(len(load))
@@ -465,10 +463,9 @@ class NullSpace:
 
 
 def _rigid_again(motions: Array, free: Array) -> Array:
-    """Return combinations (p, q) of rigid motions (p, r) as their products with coordinates.
+    """Return combinations (p, q) of rigid motions (p, r), recomputed from their coordinates.
 
-    Where a body hardly moves, orthonormal columns move it by differences of large numbers, and no longer rigidly to the
-    last digits; beside stiff springs under large loads, which balance on it, that would be work.
+    Orthonormal columns have rounding errors at bodies with small motions, on which large balanced loads would do work.
     """
     if not free.shape[1]:
         return free
@@ -476,7 +473,7 @@ def _rigid_again(motions: Array, free: Array) -> Array:
 
 
 def _independent_first(rows: Array, first: Indices) -> Indices:
-    """Return the indices of independent unit rows that span all of them, with as many of `first` as possible."""
+    """Return the indices of independent unit rows that span all of them, preferring those in `first`."""
     chosen = first[independent_rows(rows[first])]
     others = np.setdiff1d(np.arange(len(rows)), first)
     basis, _ = np.linalg.qr(rows[chosen].T)

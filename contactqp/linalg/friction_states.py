@@ -1,4 +1,4 @@
-"""One combination of open, stick and slip is one linear system, unsymmetric where something slips.
+"""Solve the linear system of one combination of open, stick and slip, unsymmetric where a contact slips.
 
     [ S + C   N_c' + T_c' diag(mu t)   T_b'   A' ] [ x   ]   [ f_S ]
     [ N_c                                        ] [ l_N ] = [ g   ]      c: closed contacts, t the direction of slip
@@ -6,10 +6,10 @@
     [ A                                          ] [ nu  ]   [ b   ]
 
 (Wriggers 2006, section 9.3.3). In the plane t = +-1 is part of the combination and C = 0. In space directions turn with
-the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T makes the system Newton's; as small slips make C
-large, the friction that it stands for is an unknown beside the displacement, with the compliance |s| / mu l_N. The
-system acts as an approximate inverse: residuals are formed on the full problem in twice double precision, as polishing
-without friction does. Rows are scaled as in `contactqp.linalg.delassus`.
+the slip s, t = s/|s|, and C = T' diag(mu l_N / |s| (I - t t')) T belongs to Newton's method; as C is large for small
+slips, its friction force is an additional unknown with the compliance |s| / mu l_N. The system is used as an
+approximate inverse in refinement with residuals of the full problem in twice double precision. Rows are scaled as in
+`contactqp.linalg.delassus`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Corrections(Protocol):
     redundant: bool
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Correction:
-        """Return the correction that residuals of the full problem call for.
+        """Return the correction for residuals of the full problem.
 
         Parameters
         ----------
@@ -79,33 +79,32 @@ class Corrections(Protocol):
 
 # Refinement stops when a sweep no longer halves the correction.
 MAX_SWEEPS = 12
-# In space the first corrections turn directions, and need not shrink.
+# In space the first corrections change directions and need not decrease.
 TURNS = 5
-# Where two answers meet in one, Newton's corrections only halve: such are followed for so many sweeps.
+# At a double root Newton's corrections only halve; they are continued for this many sweeps.
 SLOW_SWEEPS, HALVED = 60, 0.6
-# Factors are made anew where a sweep with the old ones has not made the correction this much smaller.
+# Factors are recomputed unless a sweep with the old ones reduces the correction to this part.
 WELL_TURNED = 0.1
-# Directions are doubles: corrections of this part of the answer may be all that their rounding leaves, and those that
-# no double of the answer shows are.
+# As directions are doubles, corrections below this part of the answer may be due to their rounding.
 ROUNDED, UNSEEN = 1e-15, EPS / 2
-# Corrections to come may contract so much less than the last one did. A comparison does not rely on that: its last
-# correction is a part of the bounds.
+# A factor by which later corrections may contract less than the last one. Comparisons include the last correction in
+# their bounds instead.
 CAUTION = 1e4
-# Slip directions, and mu l_N / |s| relative to itself, that differ by less have one system.
+# The same system is used for slip directions and relative mu l_N / |s| that differ by less.
 SAME_SYSTEM = 1e-9
-# Refinement whose last correction is larger than this part of the answer went nowhere.
+# Refinement has failed if the last correction exceeds this part of the answer.
 SETTLED = 1e-12
-# A slip of this part of the friction bound, both in sqrt(energy), has no direction.
+# A slip below this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
-# Of the largest part, what refinement leaves of zero.
+# Rounding errors of zero after refinement, relative to the largest component.
 INVISIBLE = 1e-22
-# A correction of this part of the answer is beneath what doubles hold.
+# Corrections below this part of the answer do not change its doubles.
 NEGLIGIBLE = 1e-20
-# What was to be done where the time limit has passed.
+# The work named in the message if the time limit has passed.
 LATE = "the answer was solved for on its combination of open, stick and slip"
-# Systems of so many equations are reduced to those of the forces, where nothing floats.
+# Larger systems are reduced to the forces by a Schur complement if nothing floats.
 REDUCED = 100
-# Beneath this reciprocal condition, or singular value relative to the largest, a system leaves motions or forces free.
+# With a reciprocal condition, or relative singular values, below this, a system does not determine motions or forces.
 SINGULAR = 1e-12
 
 
@@ -126,9 +125,9 @@ class StateSystem:
 
     Attributes
     ----------
-    regular : bool, whether the matrix has an inverse; without one, the least correction that fits best is taken
-    redundant : bool, whether rows depend on others (where `independent` was asked for)
-    sound : bool, whether it has beyond rounding: held rows may be independent, and those along which slips push not
+    regular : bool, whether the matrix has an inverse; else minimum-norm least-squares corrections are used redundant :
+    bool, whether rows depend on others (where `independent` was asked for)
+    sound : bool, whether it is regular beyond rounding; rows of forces may depend though constrained rows do not
     """
 
     def __init__(
@@ -143,11 +142,11 @@ class StateSystem:
         self._of = status, directions, turning
         self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
         self._condensation, self._rows, self.redundant = condensation, rows, False
-        # Lengths and forces are normal, tangential and those of ties, (m + (d-1) m + k,): these act, in these units.
+        # Which of the normal, tangential and tie rows (m + (d-1) m + k,) are in the system, and their scales.
         m, end = len(rows.normal), len(rows.normal) + len(rows.tangent)
         along, ties = np.arange(m, end).reshape(-1, rows.width), np.arange(end, end + len(rows.tie))
         acting = np.concatenate([self.closed, along[self.stuck].ravel(), ties])
-        # A tangent whose unknowns are all supported feels nothing, and its force does nothing.
+        # A tangential row whose unknowns are all supported is zero, and its force has no effect.
         self._acting = acting[rows.all_rows[acting].any(axis=1)]
         across, self._reduced = NONE_ACROSS if turning is None else across_slips(directions, turning), None
         self._contacts, self._size, self._across, self.sound = m, len(rows.S), len(across.contacts), True
@@ -162,7 +161,7 @@ class StateSystem:
         self._units = np.concatenate(units)[self._acting]
 
     def _whole(self, directions: Array, across: AcrossSlips, independent: bool) -> Array:
-        """Return the matrix; of rows that depend on others only as many act as are independent, where asked for."""
+        """Return the matrix, with `independent` without dependent rows."""
         rows, p = self._rows, self._size
         tangent = rows.tangent.reshape(self._contacts, rows.width, p)
         added = np.einsum("iw,iwp->ip", across.rows, tangent[across.contacts])
@@ -185,7 +184,7 @@ class StateSystem:
         return matrix
 
     def suits(self, status: Status, directions: Array, turning: Vector | None) -> bool:
-        """Return whether this is the system of a combination, up to a turn of slip directions that is a rounding."""
+        """Return whether this is the system of a combination, up to rounding of slip directions."""
         own, along, turned = self._of
         if not np.array_equal(own, status) or (abs(along - directions) > SAME_SYSTEM).any():
             return False
@@ -196,7 +195,7 @@ class StateSystem:
         factor, pivots, info = lapack().dgetrf(matrix)
         condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0] if info == 0 else 0.0
         self.sound = condition >= SINGULAR
-        if not (info == 0 and (condition >= singular or not singular)):  # the least correction that fits best
+        if not (info == 0 and (condition >= singular or not singular)):  # minimum-norm least squares
             self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
             self._singular = matrix
         self._factor = (factor, pivots)
@@ -227,7 +226,7 @@ class StateSystem:
         return Correction(du, forces[:m], forces[m:end].reshape(m, rows.width), forces[end:])
 
     def unresolved(self) -> list[Correction]:
-        """Return a basis of what may be added to the solutions of a system without inverse, each as `correct` does."""
+        """Return a basis of the null space of a singular system, in the form of `correct`."""
         values, right = right_singular(self._singular)
         free, rows, m, p = right[np.sum(values > SINGULAR * values[0]) :], self._rows, self._contacts, self._size
         _, inner = self._condensation.reduce_residual(np.zeros(len(self._condensation.unknown_scale)))
@@ -240,7 +239,7 @@ class StateSystem:
 
 
 def _unresisted(motions: Array, held: Array) -> Array:
-    """Return combinations of orthonormal motions (p, q) that no row resists."""
+    """Return combinations of orthonormal motions (p, q) that no constrained row resists."""
     if not motions.shape[1] or not len(held):
         return motions
     values, rotation = right_singular(_of_unit_length(held) @ motions)
@@ -254,12 +253,12 @@ def _of_unit_length(rows: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RefinedState(AnswerOf[Extended, Extended]):
-    """The answer of one combination in extended precision, whether its signs hold or not; friction forces are flat."""
+    """The answer of one combination in extended precision, with unchecked signs; friction forces are flat."""
 
     directions: Array  # (m, d-1) of slip
     last: Correction
-    regular: bool  # whether every system on the way had an inverse
-    redundant: bool  # whether forces of contacts or ties that depend on others were kept as they were
+    regular: bool  # whether all systems were regular
+    redundant: bool  # whether forces of dependent contacts or ties were kept
 
     def answer(self, width: int) -> Answer:
         """Return the answer in double precision, friction forces as (m, width)."""
@@ -279,9 +278,9 @@ def refined_in(
 ) -> RefinedState:
     """Refine the answer of one combination from a start.
 
-    The system of the last combination serves again where it is the same. In space the first slip directions are those
-    of the start. K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the
-    forces, as in `contactqp.linalg.refinement.answer_on`.
+    The system of the last combination is reused if it is the same. In space the first slip directions are those of the
+    start. K is used as stated unless its rounding along rigid motions spoils the balance of forces, as in
+    `contactqp.linalg.refinement.answer_on`.
 
     Parameters
     ----------
@@ -298,7 +297,7 @@ def refined_in(
     def system(directions: Array, turning: Vector | None) -> StateSystem:
         last: dict[bool, StateSystem] = rows.system
         for kept in (last.get(independent), last.get(False)):
-            # Where a system has an inverse its rows are independent, and nothing is free.
+            # A regular system has independent rows and no free motions.
             if kept is not None and (kept.regular or not independent) and kept.suits(status, directions, turning):
                 return kept
         made = StateSystem(condensation, rows, status, directions, turning, independent)
@@ -344,12 +343,11 @@ def refined_by(
     refuse_late(LATE)
     exact = exact or extended_rows(problem)
     if exact.together is not None or not np.array_equal(pushing, start.normal_force):
-        left = None  # of small problems they are formed as fast as changed
-    # Displacement, tie forces, normal forces and friction of sticking contacts, one after the other: they end there.
+        left = None  # for small problems as fast as an update
+    # The ends of displacement, tie forces, normal forces and friction of sticking contacts in one vector.
     first = np.concatenate([start.displacement, start.tie_force, pushing, sticking])
     n, tied, pushed = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
-    # Corrections of normal and friction forces are measured together in energy scale: apart, one of friction forces
-    # that are zero would be infinite.
+    # Corrections of normal and friction forces are measured together in energy scale, as friction may be zero.
     unit, parts = np.ones(len(first)), sorted({0, n, tied} - {len(first)})
     unit[tied:pushed], unit[pushed:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
     x, elastic, size, last = extend(first), None, np.inf, np.inf
@@ -358,7 +356,7 @@ def refined_by(
     system, coefficients = make(directions, turning), _coefficients(problem)[:, None]
     regular = system.regular
     for sweep in range(SLOW_SWEEPS if in_space else sweeps):
-        # Directions that hardly turn any more leave the factors of an earlier sweep a good inverse.
+        # If directions hardly change, the factors of an earlier sweep are a good inverse.
         if in_space and size > max(WELL_TURNED * last, ROUNDED):
             refuse_late(LATE)
             system = make(directions, turning)
@@ -400,9 +398,9 @@ def refined_by(
 def answer_in(
     problem: ContactProblem, condensation: Condensation, rows: FrictionalRows, status: Status, start: Answer
 ) -> Answer:
-    """Return the answer of one combination, refined from a start; what the combination leaves free stays as there.
+    """Return the answer of one combination, refined from a start; undetermined components are those of the start.
 
-    Whether its signs hold is for `contactqp.certificate.figures.holds` to say.
+    Its signs are checked by `contactqp.certificate.figures.holds`.
 
     Parameters
     ----------
@@ -411,8 +409,8 @@ def answer_in(
     """
     refined = refined_in(problem, condensation, rows, status, start)
     if not refined.regular:
-        # A slender stiffness looks singular to working precision: what the least correction leaves out of its soft
-        # motions shows where no row depends on others.
+        # A slender stiffness appears singular; components along soft motions missing in least-squares corrections show
+        # if no row is dependent.
         near = refined.answer(rows.width)
         slender = refined_in(problem, condensation, rows, status, near, independent=True)
         refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
@@ -420,16 +418,16 @@ def answer_in(
 
 
 def _settled(refined: RefinedState) -> bool:
-    """Return whether the last correction of the displacement is at the rounding of slip directions in doubles."""
+    """Return whether the last correction of the displacement is at the level of rounding of slip directions."""
     return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
 
 
 def slip_directions(
     rows: ScaledRows, status: Status, slip: Vector, force: Vector, before: Array | None = None
 ) -> tuple[Array, Vector | None]:
-    """Return unit directions of slip (m, d-1) and mu l_N / |s| (m,), by which slip turns them; None in the plane.
+    """Return unit directions of slip (m, d-1) and their rates mu l_N / |s| (m,), None in the plane.
 
-    A contact that is about to slip, at its bound, has no slip to tell the direction: it is the one before.
+    A contact at its friction bound without slip keeps the direction `before`.
 
     Parameters
     ----------
@@ -453,10 +451,10 @@ def slip_directions(
 
 
 def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answer: Answer, start: Answer) -> Answer:
-    """Set to zero what is beneath the rounding of refinement: of the start, of the answer and of the load.
+    """Set entries to zero that are below the rounding of refinement, relative to start, answer and load.
 
-    All are measured in the root of an energy: a displacement over the scale of its unknown, a load times it, a force of
-    contact, friction or tie times the scaled length of its row.
+    All are measured in the root of energy: displacements divided by the scale of the unknown, loads multiplied by it,
+    and forces multiplied by the scaled length of the row.
 
     Parameters
     ----------
@@ -479,7 +477,7 @@ def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answ
 
 
 def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
-    """Return mu l_N t as a flat vector; exact in the plane, where mu t is a double."""
+    """Return mu l_N t as a flat vector, exact in the plane, where mu t is a double."""
     return force.spread(_coefficients(problem)[:, None] * directions)
 
 

@@ -1,41 +1,41 @@
-"""Residuals by plain products, in double precision or beyond it, and the influence functions that they correct.
+"""Solve many load cases by influence functions of contacts, with residuals by exact products.
 
-Residuals of many right-hand sides at once are formed to some digits beyond it by products without rounding. Ozaki,
+Residuals of many right-hand sides at once are formed beyond double precision by products without rounding. Ozaki,
 Ogita, Oishi, Rump (2012), Numer. Algorithms 59: numbers are cut into slices of so few bits that sums of products of
 slices are doubles,
 
     K x = K1 x1 + (K1 x2 + K2 x1) + (K1 x3 + K2 x2 + K3 x1) + rest,    |rest| <= 2^-65 |K| max|x| for each entry of K,
 
-in the units in which the diagonal of K is about one. Each product is a plain one of sparse and dense matrices: a
-residual takes as long as six of these, a tenth of one in twice double precision.
+in units in which the diagonal of K is about one. A residual costs six products of sparse and dense matrices, a tenth of
+one in twice double precision.
 
 Let B = [E_N; E_T; A] be the rows of contacts and ties, E_T there with friction alone, Y = K^-1 B' their influence
 functions, the displacements under unit forces along them, and W = B Y. Of a load f within the limits c = (g, o, b)
 
     B u - c = Y'f - c - W l
 
-in which no unknown but those of contacts appears. Rows are scaled so that W_ii = 1, and lengths and forces with them.
-Without friction the forces of the closed contacts and ties C solve W_CC l_C = (Y'f - c)_C; with friction in the plane C
-holds the slips of contacts that stick, too, and the friction of one that slips is mu t l_N, t = +-1: l = P l_C, and
+in which only the unknowns of contacts appear. Rows are scaled so that W_ii = 1, and lengths and forces accordingly.
+Without friction the forces of the closed contacts and ties C solve W_CC l_C = (Y'f - c)_C. With friction in the plane C
+also contains the tangential rows of sticking contacts, and the friction of a slipping one is mu t l_N, t = +-1: l = P
+l_C, and
 
     (W P)_CC l_C = (Y'f - c)_C.
 
-Every answer is proven. The forces computed for C solve a system M whose right-hand side is off by their residual r and
-by e, the error of Y'f, of W and of the products with them. With V = M^-1 the forces l* of the answer on C satisfy
+Every answer is proven. The forces computed for C solve the system M with an error of the right-hand side of their
+residual r and of e, the error of Y'f, W and products with them. With V = M^-1 the forces l* of the answer on C satisfy
 
     |l - l*| <= |V| (|r| + e),    |(B u - c)_i - (B u* - c)_i| <= e_i + |(W P)_iC| |V| (|r| + e).
 
-Without friction, where forces are positive and gaps open by more than these bounds, l* meets the conditions of Karush,
-Kuhn and Tucker: K being positive definite, it is the solution. With friction, where also friction is within its bound
-and slips go where they should by more than these, l* meets Coulomb's law: it is an equilibrium, and the only one nearer
-than what these signs hold by. In space C holds both slips of contacts that stick, and |l_T| <= mu l_N is asked of the
-two forces together; what slips does so in a direction that is no row of B, and is left to `solve`. Where the least
-eigenvalue w of W for all contacts and ties tells enough, |V| x is not formed without friction: the eigenvalues of W_CC
-are not less, so that no entry of V x exceeds |x|/w.
+Without friction, if forces are positive and gaps open by more than these bounds, l* satisfies the Karush-Kuhn-Tucker
+conditions and is the solution, as K is positive definite. With friction, if also friction bounds and slip directions
+hold by more than these, l* is an equilibrium, and the only one within the margins of these signs. In space C contains
+both tangential rows of sticking contacts, with |l_T| <= mu l_N for both together; slip, whose direction is no row of B,
+is left to `solve`. Where the least eigenvalue w of W for all contacts and ties suffices, |V| x is not formed without
+friction: the eigenvalues of W_CC are no smaller, so that no entry of V x exceeds |x|/w.
 
-The influence functions are corrected once. The size q of the correction, relative to the functions, tells that of what
-is left, q^2, and ALLOWANCE times as much is counted, as it is in certificates. A product of vectors, added up in parts
-of p numbers and these in groups of p, is off by at most (2 p + number of groups) eps/2 of the sum of its terms' sizes.
+The influence functions are corrected once. With the relative size q of the correction the remaining error is estimated
+as q^2 times ALLOWANCE, as in certificates. A dot product, summed in parts of p numbers and groups of p parts, has an
+error of at most (2 p + number of groups) eps/2 of the sum of sizes of its terms.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Bits behind the point of the first and second slices; with so many entries in a row sums of products have 53 bits.
+# Binary digits of the first and second slices; with this many entries in a row sums of products have 53 bits.
 OF_ROWS, OF_COLUMNS, LONGEST_ROW = (22, 44), (21, 42), 512
-# What residuals may be off by, in the units of the diagonal and of the largest entry of x, for each entry of a row.
+# The error of residuals for each entry of a row, in units of the diagonal and of the largest entry of x.
 LEFT_OUT = 2.0**-64
 
 
@@ -78,7 +78,7 @@ class SlicedStiffness:
         self._unit = 2.0 ** np.round(np.log2(unit))
         places = stiffness.indices, stiffness.indptr
         scaled = stiffness.data * self._unit[stiffness.indices]
-        scaled *= np.repeat(self._unit, np.diff(stiffness.indptr))  # all of it exact: they are powers of two
+        scaled *= np.repeat(self._unit, np.diff(stiffness.indptr))  # exact, as they are powers of two
         self._slices = [sp.csr_array((data, *places), shape=stiffness.shape) for data in _slices(scaled, OF_ROWS)]
 
     def residual(self, right: Array, x: Array) -> Array:
@@ -93,20 +93,20 @@ class SlicedStiffness:
 
 
 def _slices(values: Array, bits: tuple[int, int]) -> tuple[Array, Array, Array]:
-    """Return the leading bits of numbers, the following ones, and what is left."""
+    """Return the leading bits of numbers, the following ones, and the rest."""
     first = np.ldexp(np.rint(np.ldexp(values, bits[0])), -bits[0])
     rest = values - first
     second = np.ldexp(np.rint(np.ldexp(rest, bits[1])), -bits[1])
     return first, second, rest - second
 
 
-# A change of the displacement whose |K||du| is nowhere more than this part of |K||u| changes K u by a product in double
-# precision, of which rounding leaves 2^-101 |K||u|.
+# If |K||du| is at most this part of |K||u| everywhere, K du is formed in double precision, with an error of 2^-101
+# |K||u|.
 SLIGHT = 2.0**-48
 
 
 def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extended, change: Vector) -> Extended | None:
-    """Return K (u + du) after a slight change of u; None if it is not slight.
+    """Return K (u + du) for a small change du, None if it is not small.
 
     Parameters
     ----------
@@ -134,26 +134,25 @@ def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
     )
 
 
-# What corrections of influence functions tell of their errors is counted so many times; corrections larger than a part
-# of the functions tell nothing.
+# The factor on errors estimated from corrections of influence functions, and the largest relative correction.
 ALLOWANCE, LARGEST_CORRECTION = 1e4, 1e-6
-# Influence functions at once: factors are read once for all of them, and some fifteen arrays of their size are there
-# for a while, which should not take more than all functions at the loaded unknowns, unless that is next to nothing.
+# The number of influence functions computed at a time. The factors are read once for all of them, and some fifteen
+# arrays of their size should not exceed the memory of all functions at the loaded unknowns, unless that is small.
 FEWEST, MOST, ARRAYS = 8, 32, 15
-# Terms of a product that are added up by themselves.
+# The number of terms of a product in one partial sum.
 PART = 64
-# Corrections of the states of contacts for one load, at most, and states whose systems are kept.
+# The most changes of states for one load, and the number of systems kept.
 MOST_SETS, KEPT = 50, 16
-# Cases among which that of the nearest loads is looked for, whose states a case begins with.
+# The number of earlier cases from which the nearest one provides the first states.
 NEIGHBOURS = 128
-# Parts of the coefficients of friction by which states are come to where they are not found at once.
+# Fractions of the coefficients of friction for continuation if the states are not found directly.
 PARTS = (0.25, 0.5, 0.75, 0.9, 1.0)
-# Forces are proven to this part of the largest, gaps to this part of the largest length, or left to `solve`; so is what
-# is nearer than `GRAZING` of these to other states.
+# Relative errors of forces and gaps up to which a case is accepted, else it is left to `solve`, as are cases with
+# margins below `GRAZING`.
 PROVEN, GRAZING = 1e-7, 1e-8
-# Lengths, scaled, whose products neither underflow nor overflow.
+# The range of scaled lengths whose products neither underflow nor overflow.
 SMALLEST, LARGEST = 1e-100, 1e100
-# An inverse is known to be near where what is missing of it is less than this.
+# The largest |I - V M| of an approximate inverse V.
 NEAR = 0.1
 
 
@@ -162,21 +161,21 @@ class ProvenForces:
     """The answer of one load case on its contacts and, behind these, its ties."""
 
     force: Vector  # (m + k,), normal forces and those of ties
-    bound: Vector  # (m + k,) of the error of each, with friction of the whole force of a contact
+    bound: Vector  # (m + k,) error bounds, with friction of a contact's whole force
     gap: Vector  # (m,)
     status: Status  # (m,) without friction SLIP_ON where closed
     friction_force: Vector | None = None  # (m,) in the plane, (2 m,) in space
 
 
 class SolvedCases:
-    """The last cases that were solved, by what their rows exceed their limits without forces, and their states."""
+    """The states of the last solved cases, by the excess of their rows without contact forces."""
 
     def __init__(self) -> None:
         self._excess, self._status = np.zeros((0, 0)), list[Status]()
         self._next = 0
 
     def keep(self, excess: Vector, status: Status) -> None:
-        """Keep the states (m,) of a case with some excess (q,), in place of the oldest where there are many."""
+        """Keep the states (m,) of a case with its excess (q,), replacing the oldest if there are many."""
         if not self._status:
             self._excess = np.empty((NEIGHBOURS, len(excess)))
         self._excess[self._next] = excess
@@ -184,7 +183,7 @@ class SolvedCases:
         self._next = (self._next + 1) % NEIGHBOURS
 
     def nearest(self, excess: Vector) -> Status | None:
-        """Return the states of the case whose excess is nearest; None where there is no case."""
+        """Return the states of the case with the nearest excess, None without cases."""
         if not self._status:
             return None
         apart = self._excess[: len(self._status)] - excess
@@ -256,11 +255,11 @@ class Influence:
         return found, np.asarray(abs(loads) @ self._unit)
 
     def excess(self, free: Vector, limit: Vector) -> Vector:
-        """Return by how much rows exceed their limits without forces of contacts and ties, scaled (q,)."""
+        """Return the excess of rows over their limits without contact and tie forces, scaled (q,)."""
         return np.asarray(free - self._scale * limit)
 
     def forces(self, free: Vector, size: float, limit: Vector, status: Status, friction: Vector) -> ProvenForces | None:
-        """Return the proven forces of a load, or None where it is left to `solve`.
+        """Return the proven forces of a load, None if it is left to `solve`.
 
         Parameters
         ----------
@@ -313,12 +312,12 @@ class Influence:
 
     @property
     def _tangents(self) -> slice:
-        """Return the places of tangential rows, none without friction."""
+        """Return the indices of tangential rows, none without friction."""
         m = self._contacts
         return slice(m, m + self._width * m)
 
     def _margins(self, system: _System, x: Vector, slack: Vector, bounds: tuple[Vector, Vector]) -> Vector:
-        """Return by how much more than its error each sign of some states holds."""
+        """Return the margin of each sign of some states beyond its error."""
         m, status, (of_force, of_length) = self._contacts, system.status, bounds
         push, of_push = np.zeros(m), np.zeros(m)
         closed, stuck = system.closed, system.stuck
@@ -338,19 +337,19 @@ class Influence:
         return lengths(drag * self._along[system.stuck])
 
     def _bounded_eigenvalue(self) -> float:
-        """Return a number that no eigenvalue of the true W is less than, next to nothing where none is known."""
+        """Return a lower bound of the eigenvalues of the true W, nearly zero if none is known."""
         from scipy.linalg import eigvalsh
 
         values = eigvalsh(self._W, check_finite=False) if self.accurate else np.zeros(1)
-        rounding = 8 * len(self._W) * EPS * values[-1]  # of LAPACK's eigenvalues, and of W's two halves
+        rounding = 8 * len(self._W) * EPS * values[-1]  # errors of LAPACK's eigenvalues and of the symmetry of W
         missing = 2 * np.linalg.norm(self._of_row) * np.linalg.norm(self._of_column)
         return max(float(values[0] - rounding - missing), TINY)
 
     def _in_own_states(self, excess: Vector, status: Status, friction: Vector) -> tuple[_System, Vector, Vector] | None:
-        """Return the system of the states that a load leads to, its forces, and gaps, slips (turned) and ties' misses.
+        """Return the system of the states for a load, its forces, and gaps, slips (signed) and residuals of ties.
 
-        The states are corrected as signs say (Newton's method for the law), until they stay, or come again. In space
-        closed contacts with friction stick; None where one would slip then.
+        The states are corrected by signs (Newton's method for the law) until they are constant or recur. In space
+        closed contacts with friction stick; None if one would slip.
         """
         m, tried = self._contacts, set[bytes]()
         for _ in range(MOST_SETS):
@@ -386,7 +385,7 @@ class Influence:
         return None
 
     def _system(self, status: Status, friction: Vector) -> _System | None:
-        """Return the system of some states; None where it has no inverse."""
+        """Return the system of some states, None if it is singular."""
         key = status.tobytes() + (friction.tobytes() if self.rough else b"")
         if key not in self._systems:
             if len(self._systems) >= KEPT:
@@ -406,8 +405,8 @@ def held_by_springs(problem: ContactProblem, motions: Array) -> ContactProblem:
         0 = e_j'u + p / k = (Y'f)_j - (W l)_j + p_j / k,
 
     Y, W and l those of the problem on springs, p among the forces l: an equation as that of a tie, in which W_jj is
-    less by 1 / k. As many springs as there are rigid `motions` (n, r) leave nothing of W among them: a unit force on
-    one of them moves the bodies rigidly by 1 / k. With k = K_jj the sum K_jj + k has no rounding.
+    less by 1 / k. With as many springs as rigid `motions` (n, r), their W vanishes: a unit force on one of them moves
+    the bodies rigidly by 1 / k. With k = K_jj the sum K_jj + k has no rounding.
     """
     places = fixing_unknowns(motions, np.zeros(0, dtype=np.intp), problem.diagonal)
     own = sp.csr_array((np.ones(len(places)), (np.arange(len(places)), places)), shape=(len(places), problem.dimension))
@@ -456,7 +455,7 @@ class _System:
             part[self._of_slips] += abs(self._dragged) * whole[self._slip_rows]
         self._symmetric = definite
         if not definite:
-            # LAPACK prints that a matrix of no rows is none of its.
+            # LAPACK prints an error for a matrix without rows.
             found: tuple[Any, ...] = lapack().dgetrf(self._matrix) if len(self.members) else (0,)
             self._factor, self.regular = list(found[:-1]), found[-1] == 0
         else:
@@ -471,14 +470,14 @@ class _System:
         return np.asarray(lapack().dgetrs(*self._factor, right)[0])
 
     def spread(self, x: Vector, sizes: bool = False) -> Vector:
-        """Return all forces (q,) from those of the members, or what these may be off by."""
+        """Return all forces (q,), or their errors, from those of the members."""
         found = np.zeros(self._count)
         found[self.members] = x
         found[self._slip_rows] = (abs(self._dragged) if sizes else self._dragged) * x[self._of_slips]
         return found
 
     def bounded(self, size: Vector) -> Vector:
-        """Return bounds of M^-1 x for all |x| <= size, infinite where the inverse is not known."""
+        """Return bounds of M^-1 x for all |x| <= size, infinite if the inverse is unknown."""
         sizes, missing = self._inverse
         if not missing < NEAR:
             return np.full(len(size), np.inf)
@@ -487,7 +486,7 @@ class _System:
 
     @cached_property
     def _inverse(self) -> tuple[Any, float]:
-        """|V| of the inverse in doubles and q >= |I - V M|, the errors of M included."""
+        """Return |V| of the inverse in doubles and q >= |I - V M|, including the errors of M."""
         count = len(self.members)
         if not count:
             return np.zeros((0, 0)), 0.0

@@ -1,18 +1,17 @@
-"""Which contacts an interior point closes: Newton's steps along the central path, and the crossover to a vertex.
+"""Identify closed contacts by Newton steps along the central path, and cross over to a vertex.
 
 With slacks s = g - E_N u the points of the central path solve
 
     K u + E_N' l + A' nu = f,    E_N u + s = g,    A u = b,    s_i l_i = t,    s, l > 0,
 
-and come, as t goes to zero, to the middle of the set of solutions: there either the force of a contact stays or its
-slack, if any solution has one of them. A backend's answer is a point near the path with a t of its tolerance.
-Mehrotra's steps (1992) from there make t smaller by orders of magnitude each, until force against slack tells the two
-apart.
+and converge, as t goes to zero, to the centre of the set of solutions, at which either the force or the slack of a
+contact is positive, if it is in any solution. A backend's answer is a point near the path with a t of its tolerance.
+Mehrotra's steps (1992) from there reduce t by orders of magnitude each, until forces and slacks are clearly separated.
 
-Where more contacts close than the unknowns can tell apart, an interior point spreads the load over all of them, and
-rounding of the data makes their gaps contradict each other: to hold all of them closed at once is impossible in the
-last digits. A linear program, scaled to what they contradict each other by, goes to a vertex (the crossover of interior
-point methods, Megiddo 1991; the scaling is that of iterative refinement, Gleixner, Steffy and Wolter 2016).
+If more contacts close than there are independent rows, an interior point distributes the load over all of them, and
+rounding of the data makes their gaps contradict each other. A linear program, scaled by the contradiction, then goes to
+a vertex (the crossover of interior point methods, Megiddo 1991; the scaling is that of iterative refinement, Gleixner,
+Steffy and Wolter 2016).
 """
 
 from __future__ import annotations
@@ -45,16 +44,16 @@ from contactqp.model.arrays import EPS, TINY, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Unknowns move by so many times what contradicts at most, and open contacts that near may close.
+# The most displacement of unknowns, in units of the contradiction, and the reach of open contacts.
 FARTHEST = 1e3
-# Factorisations at a vertex where rows conflict: it settles at once, or the program has led elsewhere.
+# The most factorisations at a vertex of conflicting rows; a right vertex needs few.
 AT_A_VERTEX = 20
-# Forces of so many times what is unbalanced stay; and how often what remains is balanced anew.
+# Forces above this multiple of the residual are kept, and the number of times the rest is balanced again.
 LARGE_FORCE, ROUNDS = 1e6, 6
 
 
 def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state that holds closed only contacts that can be closed together, or the same, marked, without one."""
+    """Return a state whose closed contacts do not conflict, else the same state, marked."""
     if not state.solved or state.length_residual <= MET_TOGETHER or state.in_conflict:
         return state
     together = by_pivots(state, effort)
@@ -70,14 +69,14 @@ def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, effort: Effort) -> ClosedState | None:
-    """Return the state at the vertex that is nearest to an answer, in units of a length by which it may be off.
+    """Return the state at the vertex nearest to an answer, in units of its possible error.
 
-    From gaps g - E u and ties b - A u that the answer leaves, the change v of u in units of this length d solves
+    With the gaps g - E u and tie residuals b - A u of the answer, the change v of u in units of this length d solves
 
         minimise  (K u - f)' v    subject to    E v <= (g - E u) / d,    A v = (b - A u) / d,    |v_j| <= FARTHEST
 
-    whose multipliers are the forces; contacts without one only touch, and may open. None is returned where there are no
-    contacts, d underflows, or the linear program has no solution.
+    whose multipliers are the forces; contacts with zero force may open. None is returned where there are no contacts, d
+    underflows, or the linear program has no solution.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
     effort : counts factorisations and back-substitutions
     """
     if not problem.contacts or length < TINY:
-        return None  # ties leave no choice
+        return None  # ties determine everything
     left = residuals_of(extended_rows(problem), problem, answer)
     gap, tie = left.gap.double() / length, left.tie.double() / length
     near = np.flatnonzero(gap <= FARTHEST)
@@ -110,10 +109,10 @@ def vertex_near(problem: ContactProblem, answer: ExtendedAnswer, length: float, 
 
 
 def refined(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state in which contacts carry what the forces of a state leave unbalanced, if there is one.
+    """Return a state in which contacts also carry the residual of a state, if there is one.
 
-    Forces far beneath the largest decide which contacts close at a degenerate vertex, and neither an interior point nor
-    a linear program in the units of the problem tells them from nothing. In units d of the residual
+    At a degenerate vertex forces far below the largest determine the closed contacts, which neither an interior point
+    nor a linear program in the units of the problem resolves. In units d of the residual
     r = f - K u - E'l - A'nu and D of a length, the change v of u solves
 
         minimise  -(r + E_w' l_w)' v / d    subject to    E_s v = (g - E u)_s / D,    E_w v <= (g - E u)_w / D,
@@ -141,7 +140,7 @@ def refined(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def _vertex_in_units(state: ClosedState, size: float, length: float) -> ExtendedAnswer | None:
-    """Return the answer that the linear program of `refined` leads to in units of a force and a length."""
+    """Return the answer of the linear program of `refined` in units of a force and a length."""
     problem, answer = state.problem, state.answer
     carried, gap = answer.normal_force.double(), state.left.gap.double() / length
     large = carried > LARGE_FORCE * size
@@ -168,27 +167,27 @@ def _vertex_in_units(state: ClosedState, size: float, length: float) -> Extended
 
 
 def _felt(limits: Vector) -> Vector:
-    """Return limits of a linear program without those beneath its tolerance, which may make it infeasible."""
+    """Return limits of a linear program, with those below its tolerance, which may make it infeasible, set to zero."""
     return np.where(abs(limits) > CARRIES, limits, 0.0)
 
 
-# A backend's displacement is taken to be off by this part of its size.
+# The assumed relative error of a backend's displacement.
 BACKEND_IS_OFF = 1e-9
-# Added to the diagonal of the matrix of a step; refinement in double precision takes it back.
+# The regularisation of a step's matrix, removed by refinement in double precision.
 REGULARISATION, REFINEMENTS = 1e-10, 2
 STEPS = 25
-# The part of the way to the nearest zero of a force or a slack that a step goes: nearer, the next ones are cut short.
+# The fraction of the step to the boundary of positive forces and slacks.
 SHORT_OF_ZERO = 0.99
-# The work that a predicted step leaves, over that of now, counts as so much at most.
+# The largest centring parameter of a predictor-corrector step.
 MOST_CENTRED = 1e3
-# Steps that are cut to less than this part of their length end the iteration.
+# The iteration ends if the step length falls below this.
 SHORTEST_STEP = 1e-6
-# Work of all forces on all slacks, as a part of the energies that meet, from which on they are told apart.
+# The complementarity l's, relative to the energies, below which forces and slacks are separated.
 SEPARATED = 1e-22
-# They are told apart, too, by a step that leaves this part and less of each that vanishes and this part and more of the
-# other, as their limits are 0 and 1 (the indicators of El-Bakry, Tapia and Zhang 1994).
+# They are also separated if in a step one of each pair falls below the first part and the other stays above the second
+# (the indicators of El-Bakry, Tapia and Zhang 1994, with limits 0 and 1).
 VANISHES, STAYS = 0.1, 0.5
-# Forces and slacks of the start are at least this part of the geometric mean of their largest products.
+# The least forces and slacks of the start, relative to the geometric mean of their largest products.
 LEAST = 1e-3
 
 Step = tuple[Vector, Vector, Vector]
@@ -210,23 +209,21 @@ class CentralPoint:
 
     @property
     def answer(self) -> Answer:
-        """Return the point as an answer."""
+        """Return the answer of the point."""
         return Answer(self.displacement, np.where(self.closed, self.force, 0.0), None, self.tie_force)
 
     @property
     def work(self) -> float:
-        """Return the work l's of forces l on slacks s, which measures the distance from the solution."""
+        """Return the complementarity l's of forces l and slacks s, which measures the distance from the solution."""
         return float(self.force @ self.slack)
 
 
 def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: bool = False) -> ClosedState:
-    """Return the solution of an equilibrated problem that is nearest to an answer; `holds` says whether it is one.
+    """Return the solution of an equilibrated problem nearest to an answer; `holds` tells whether it is one.
 
-    The closed contacts are those of the answer; where these do not lead to a solution, those of the point that Newton's
-    steps along the central path come to from there; then, of programs with vertices, those that a dual active set leads
-    to from either; then those of the vertex near the answer. With `driven`, contacts close in addition where the load
-    drives a motion that those of the point leave free. Contacts of the answer that nearly depend on each other come
-    last, one by one (`by_single_changes`).
+    The closed contacts are tried in this order: those of the answer; those after Newton steps along the central path;
+    for programs, those of a dual active set from either; those of the vertex near the answer. With `driven`, further
+    contacts close if the load drives a free motion. At last contacts are changed one by one (`by_single_changes`).
 
     Parameters
     ----------
@@ -254,7 +251,7 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
 
 
 def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, effort: Effort) -> ClosedState:
-    """Return the solution that the contacts of an answer lead to where rows nearly depend, or what failed before.
+    """Return the solution with the contacts of an answer for nearly dependent rows, else the `failed` state.
 
     Parameters
     ----------
@@ -271,7 +268,7 @@ def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, eff
 
 @dataclass(frozen=True, eq=False)
 class LastSolution:
-    """The solution that a method gave as its answer, with which the certificate of that very answer begins."""
+    """The solution of which a method's answer is the rounding, for the certificate of this answer."""
 
     given: Answer
     closed: Mask
@@ -280,7 +277,7 @@ class LastSolution:
 
 
 def remember(state: ClosedState, given: Answer) -> None:
-    """Keep with an equilibrated problem the solution that an answer, in its units, is the rounding of."""
+    """Store with an equilibrated problem the solution of which an answer is the rounding."""
     state.problem._computed.last_solution = LastSolution(given, state.closed, state.answer, state.in_conflict)
 
 
@@ -304,7 +301,7 @@ def _closed_in(problem: ContactProblem, answer: Answer) -> Mask:
 
 
 def _off(problem: ContactProblem, answer: Answer) -> float:
-    """Return a length by which the displacement of an answer may be off: its penetration or what ties are open."""
+    """Return the possible error of a displacement, its penetration or the residual of ties [length]."""
     gap = problem.gap - problem.normal @ answer.displacement
     open_ties = problem.tie_value - problem.tie @ answer.displacement
     least = BACKEND_IS_OFF * float(np.max(abs(answer.displacement), initial=0.0))
@@ -330,7 +327,7 @@ def solved_from(
 
 
 def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> CentralPoint:
-    """Return the point of the central path that Newton's steps from an answer of an equilibrated problem come to."""
+    """Return the point of the central path reached by Newton steps from an answer of an equilibrated problem."""
     point, system = _near_path(problem, answer), PathSystem(problem)
     for _ in range(STEPS):
         if point.work <= SEPARATED * _energies(problem, point):
@@ -348,7 +345,7 @@ def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> Centra
 
 
 def _told_apart(before: CentralPoint, after: CentralPoint) -> bool:
-    """Return whether in a step each contact kept one of force and slack while the other vanished."""
+    """Return whether in a step each contact kept one of force and slack while the other tended to zero."""
     force, slack = after.force / before.force, after.slack / before.slack
     vanishing, kept = np.where(after.closed, slack, force), np.where(after.closed, force, slack)
     return bool(np.all((before.closed == after.closed) & (vanishing <= VANISHES) & (kept >= STAYS)))
@@ -391,14 +388,14 @@ def _step(system: PathSystem, point: CentralPoint, effort: Effort) -> tuple[Cent
 
 
 def _until_zero(values: Vector, change: Vector) -> float:
-    """Return the largest step, at most one, along a change after which positive values stay positive."""
+    """Return the largest step, at most one, with which positive values stay positive."""
     return float(1.0 / max(1.0, np.max(-change / values, initial=0.0)))
 
 
 class PathSystem:
     """The systems K u + E'l + A'nu = f, E u - c l = g, A u = b of steps, with compliances c (m,) of the contacts.
 
-    Contacts of one unknown alone, bounds, are eliminated beforehand: they add E_ij^2 / c_i to its stiffness.
+    Contacts of one unknown (bounds) are eliminated beforehand, which adds E_ij^2 / c_i to its stiffness.
     """
 
     def __init__(self, problem: ContactProblem) -> None:
@@ -416,7 +413,9 @@ class PathSystem:
         self._on_diagonal = np.flatnonzero(self._matrix.indices == columns)
 
     def solver(self, compliance: Vector, effort: Effort) -> Callable[[Vector, Vector, Vector, bool], Step]:
-        """Return a function that gives u, l, nu of f, g, b, refined if asked; raises BackendFailed as `factorised`."""
+        """Return a function from f, g, b to u, l, nu, with optional refinement; raises BackendFailed as
+        `factorised`.
+        """
         problem, bounds, others, unknown, entry = self.problem, self._bounds, self._others, self._unknown, self._entry
         E, A, n, k = problem.normal, problem.tie, problem.dimension, problem.ties
         stiffer = np.bincount(unknown, entry**2 / compliance[bounds], n)

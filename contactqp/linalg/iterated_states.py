@@ -1,4 +1,4 @@
-"""One combination of open, stick and slip on bodies that are iterated on: its rows, and its linear system.
+"""Solve the linear system of one combination of open, stick and slip iteratively, for bodies that are not factorised.
 
 The states of contacts with friction come from Alart and Curnier's trial forces (1991). With stiffnesses rho of the
 contact's own unknowns,
@@ -9,7 +9,7 @@ a contact is closed where p > 0, sticks where |y| <= theta, and slides along t =
 Coulomb's bound, another one Tresca's. In space the slip turns the friction: across t Newton's method has
 l_T = C (E_T u - slip_origin) with C = rho_T theta / (|y| - theta).
 
-In one process and over ranks alike: an iteration (`contactqp.linalg.contact_iteration`) gives products, sums and a
+It works in one process and on ranks: an iteration (`contactqp.linalg.contact_iteration`) provides products, sums and a
 preconditioner, and everything here is collective where that is.
 """
 
@@ -39,7 +39,7 @@ class FrictionalLimits(Limits, Protocol):
     def slip_origin(self) -> Array | None: ...  # (m, d-1)
 
 
-# C is at most so many times rho_T: friction that turns harder as good as sticks across t.
+# The largest C relative to rho_T; beyond it friction practically sticks across t.
 STIFFEST = 1e2
 
 
@@ -55,13 +55,13 @@ class Combination:
     """The states of contacts; on several ranks, of the contacts of one rank."""
 
     closed: Mask  # (m,)
-    stick: Mask  # (m,) some of the closed ones
+    stick: Mask  # (m,) a subset of the closed ones
     direction: Array  # (m, d-1) t where a contact slides, else zero
     turning: Vector  # (m,) C [force / length], zero in the plane and where nothing slides
 
     @property
     def flags(self) -> Mask:
-        """Return flags (2, m) that tell one combination from another; in the plane (3, m), with the direction."""
+        """Return flags (2, m) that identify a combination, in the plane (3, m) with the direction."""
         parts = [self.closed, self.stick]
         if self.direction.shape[1] == 1:
             parts.append(self.direction[:, 0] > 0)
@@ -71,10 +71,10 @@ class Combination:
 def combination_of(
     trial: tuple[Vector, Array], bound: Vector, stiffness: Vector, before: Combination | None = None
 ) -> Combination:
-    """Return the states that trial forces give.
+    """Return the states given by trial forces.
 
-    A contact that slid `before` and turns against itself sticks at first: it slid the wrong way, which says little of
-    how far it would slide the other way.
+    A contact that slid `before` and would reverse its direction sticks at first, as its slip in the other direction is
+    unknown.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def combination_of(
 
 
 def turning_stiffness(y: Array, bound: Vector, stiffness: Vector, slides: Mask) -> Vector:
-    """Return C (m,) [force / length], by which friction resists that the slip turns; zero where contacts do not slide.
+    """Return C (m,) [force / length], the stiffness of friction against a change of slip direction; zero without slip.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class FrictionRows:
     ----------
     iteration : the iteration on these rows
     m, width, plain : int, the numbers of contacts, of tangential rows of each, and of contacts and ties
-    friction : (m,) array, mu, which is zero also where no unknown feels the tangential rows
+    friction : (m,) array, mu, zero also where the tangential rows are zero
     limit : (m + k + (d-1) m,) array, the limits [length]
     """
 
@@ -136,7 +136,7 @@ class FrictionRows:
         self.friction = np.where(self.stiffness > 0, friction, 0.0)
 
     def tangents(self, contacts: Mask) -> Indices:
-        """Return the numbers of the tangential rows of some contacts that an unknown feels."""
+        """Return the indices of the nonzero tangential rows of some contacts."""
         return self.plain + np.flatnonzero((contacts[:, None] & self._felt).ravel())
 
     def bound(self, normal_force: Vector) -> Vector:
@@ -156,7 +156,7 @@ class FrictionRows:
         return combination_of(trial, self.bound(trial[0]), self.stiffness, before)
 
     def in_states(self, status: Status, answer: FrictionalAnswer) -> Combination:
-        """Return a combination of these states (m,), which slides in space the way that an answer's trial forces go."""
+        """Return a combination of these states (m,), in space with slip directions by an answer's trial forces."""
         closed, stick = status != OPEN, (status == STICK) & (self.friction > 0)
         slides = closed & ~stick & (self.friction > 0)
         if self.width == 1:
@@ -167,7 +167,9 @@ class FrictionRows:
         return Combination(closed, stick, direction, across)
 
     def within_law(self, answer: FrictionalAnswer, states: Combination) -> FrictionalAnswer:
-        """Return forces that Coulomb's law allows: no tension, and friction of the bound where a contact slides."""
+        """Return forces admissible by Coulomb's law, without tension and with friction at the bound where contacts
+        slide.
+        """
         full = self.bound(answer.normal_force)[:, None] * directions(answer.friction_force)
         slides = np.any(states.direction != 0, axis=1)
         friction = np.where(slides[:, None], full, answer.friction_force)
@@ -184,13 +186,15 @@ class FrictionRows:
         return np.concatenate(rows)
 
     def sliding(self, states: Combination) -> sp.csr_matrix:
-        """Return mu t'E_T (m, t), along which the normal force of a sliding contact acts too."""
+        """Return mu t'E_T (m, t), along which the normal force of a sliding contact also acts."""
         values = self.friction[:, None] * states.direction
         by_contact = (values.ravel(), np.arange(values.size), self.width * np.arange(self.m + 1))
         return sp.csr_matrix(sp.csr_matrix(by_contact, (self.m, values.size)) @ self.tangential)
 
     def turning(self, states: Combination) -> sp.csr_matrix:
-        """Return sqrt(C) (I - t t') ((d-1) m, m + k + (d-1) m): times E and the limits, what turns with the slip."""
+        """Return sqrt(C) (I - t t') ((d-1) m, m + k + (d-1) m): its products with E and the limits give the forces that
+        change with the slip direction.
+        """
         t, root = states.direction, np.sqrt(states.turning)
         blocks = root[:, None, None] * (np.eye(self.width) - t[:, :, None] * t[:, None, :])
         size = self.m * self.width
@@ -211,7 +215,7 @@ class FrictionRows:
         return self.iteration.of_rows(chosen), self.limit[chosen]
 
     def at_rest(self, displacement: Vector, normal_force: Vector) -> tuple[Vector, Array]:
-        """Return the displacement of least norm within the gaps, contacts that push not sliding, and free motions.
+        """Return the displacement of least norm within the gaps, without slip of loaded contacts, and free motions.
 
         The motions (n, q) are orthonormal. Collective.
         """
@@ -220,7 +224,7 @@ class FrictionRows:
         return floating.at_rest(displacement, normal_force, self.problem.gap)
 
     def held_with(self, stick: Mask) -> Indices:
-        """Return the numbers of all contacts and ties, and of the tangents of sticking contacts."""
+        """Return the indices of all contacts and ties, and of the tangents of sticking contacts."""
         return np.concatenate([np.arange(self.plain), self.tangents(stick)])
 
     @property
@@ -229,11 +233,11 @@ class FrictionRows:
         return self.iteration.entries[self.plain :]
 
 
-# Steps of GMRES on one combination, and rounds of it, each on the residual anew.
+# The most steps of GMRES on one combination, and of restarts with a new residual.
 STEPS, ROUNDS = 600, 4
-# A round reduces the residual to AIM of what is asked, within these parts.
+# A restart reduces the residual to AIM of the requirement, within these limits.
 AIM, TIGHTEST, LOOSEST = 0.1, 1e-7, 0.3
-# The part of the tolerance that equilibrium may reach; and that of the forces that meet which is rounding.
+# The part of the tolerance for equilibrium, and the rounding relative to the forces that meet.
 EQUILIBRIUM, BALANCED = 0.3, 4 * EPS
 
 
@@ -245,12 +249,12 @@ class CombinationSystem:
 
         (K + E_T'C E_T) u + G'l = f + E_T'C o,    H u = h.
 
-    GMRES goes along displacements M r that H admits and looks at what the forces on G leave of residuals,
+    GMRES searches along displacements M r admissible by H and reduces the residuals left by the forces on G,
 
         P_G (K + E_T'C E_T) P_H M y = P_G r,    u = u_0 + P_H M y,
 
-    where P_H and P_G are the projections of `contactqp.linalg.krylov`. Friction in proportion to l_N is in the system
-    itself: nothing is iterated on but the combination, and in space the directions.
+    where P_H and P_G are the projections of `contactqp.linalg.krylov`. Friction proportional to l_N is part of the
+    system, so that only the combination, and in space the directions, are iterated.
     """
 
     def __init__(self, rows: FrictionRows, states: Combination) -> None:
@@ -270,7 +274,7 @@ class CombinationSystem:
             self._turning, self._origin = sp.csr_matrix(across @ iteration.entries), across @ rows.limit
         self._smooth = iteration.smoother(self._active, across)
         self._scale = np.sqrt(iteration.diagonal)
-        self._last: tuple[Vector, Vector, Vector] | None = None  # x, r and P_H M r, where these were formed last
+        self._last: tuple[Vector, Vector, Vector] | None = None  # the last x, r and P_H M r
 
     def closed(self, u: Vector) -> Vector:
         """Return a displacement moved onto the limits of the constrained rows."""
@@ -279,7 +283,7 @@ class CombinationSystem:
         return x
 
     def unbalanced(self, x: Vector) -> Vector:
-        """Return what the forces on G leave of the residual at a displacement."""
+        """Return the residual at a displacement that forces on G cannot balance."""
         return self._on_g.balanced(self._residual(x))
 
     def _residual(self, x: Vector) -> Vector:
@@ -291,22 +295,22 @@ class CombinationSystem:
         return np.asarray(residual)
 
     def error(self, unbalanced: Vector, along: Vector | None = None) -> float:
-        """Return |r'P_H M r|, about the square of the error in energy; `along` is P_H M r where it is known."""
+        """Return |r'P_H M r|, about the squared error in energy; `along` is P_H M r if known."""
         return abs(self._iteration.dot(unbalanced, self._along(unbalanced) if along is None else along))
 
     def error_at(self, x: Vector) -> float:
-        """Return the error of a displacement, whose residual is not formed anew where `solved` has just done so."""
+        """Return the error of a displacement, reusing the residual of `solved`."""
         return self.error(*self._looked_at(x))
 
     def _looked_at(self, x: Vector) -> tuple[Vector, Vector]:
-        """Return r and P_H M r at a displacement; all ranks know the last one by its identity."""
+        """Return r and P_H M r at a displacement; the last ones are kept."""
         if self._last is None or self._last[0] is not x:
             unbalanced = self.unbalanced(x)
             self._last = x, unbalanced, self._along(unbalanced)
         return self._last[1:]
 
     def solved(self, x: Vector, tolerance: float, energy: float, most: int = ROUNDS * STEPS) -> Vector:
-        """Solve from a displacement on the limits until equilibrium and energy are met, or GMRES gets no further.
+        """Solve from a displacement on the limits until equilibrium and energy converge, or GMRES stagnates.
 
         Parameters
         ----------
@@ -335,7 +339,7 @@ class CombinationSystem:
         return x
 
     def enough(self, x: Vector, residual: Vector, tolerance: float, energy: float, floor: float = 0.0) -> bool:
-        """Return whether a residual is small at every unknown, and in energy small or below a floor.
+        """Return whether a residual is small at every unknown, and in energy small or below `floor`.
 
         Parameters
         ----------
@@ -356,21 +360,21 @@ class CombinationSystem:
         return not self._iteration.any(~(self._parts(x, residual) <= part))
 
     def _parts(self, x: Vector, residual: Vector) -> Vector:
-        """Return a residual as parts (n,) of the forces that meet."""
+        """Return a residual relative to the forces that meet (n,)."""
         return ratio(abs(residual), self._iteration.product_sizes(x) + abs(self._rows.problem.load))
 
     def _work(self, x: Vector) -> float:
         return self._iteration.dot(x, self._iteration.product(x))
 
     def _reduction(self, x: Vector, residual: Vector, tolerance: float, energy: float, error: float) -> float:
-        """Return the part to which a residual has to be reduced: less would be reducing rounding."""
+        """Return the required reduction of a residual, limited by rounding."""
         left = float(self._iteration.largest(np.max(self._parts(x, residual), initial=0.0, keepdims=True))[0])
         allowed = energy * float(np.sqrt(self._work(x) / error)) if error > 0 else np.inf
         balanced = EQUILIBRIUM * tolerance / left if left > 0 else np.inf
         return float(np.clip(AIM * min(allowed, balanced), TIGHTEST, LOOSEST))
 
     def improved(self, x: Vector, reduction: float, most: int = STEPS) -> Vector:
-        """Return x after GMRES has reduced what is unbalanced at it to this part, or as far as it comes."""
+        """Return x after GMRES has reduced its unbalanced residual by `reduction`, or as far as possible."""
         unbalanced = self.unbalanced(x)
         return x if self._small(x, unbalanced, BALANCED) else self._improved(x, unbalanced, None, reduction, most)
 

@@ -1,7 +1,7 @@
-"""What replaces condensation where a body is too large to factorise: a hierarchy of its stiffness, in one process.
+"""Decide by which systems a problem is solved (`systems_of`), and solve large bodies iteratively in one process.
 
-Which problems are iterated on is decided here, what of them may be factorised all the same, and which are solved with
-some of their contacts at first.
+Problems are condensed, solved by sparse systems, or iterated on with a multigrid hierarchy. It is also decided here
+what may be factorised nevertheless, and which problems begin with a subset of their contacts.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
-# A body in space (with more than COUPLED entries a row, unlike one in the plane) is iterated on where its factors are
-# predicted to take more operations than what the proof that they give is worth: ten times the time of the iteration, as
-# of a cube of 200 000 unknowns. With friction nothing is proven in space, and where contacts, with three condensed
-# unknowns each, are more than MANY_WITH_FRICTION, factors of a cube of 10 000 unknowns are dearer already.
+# A body in space (with more than COUPLED entries per row, unlike one in the plane) is solved iteratively if its factors
+# are predicted to take ten times the time of the iteration, as for a cube of 200 000 unknowns; the factors would prove
+# the answer. With friction nothing is proven in space, and with more than MANY_WITH_FRICTION contacts, each with three
+# condensed unknowns, this holds for a cube of 10 000 unknowns already.
 MOST_OPERATIONS, COUPLED = 7e12, 40
 MOST_WITH_FRICTION, MANY_WITH_FRICTION = 1.75e10, 300
 # Entries of the factors of a cube of n unknowns over n^(4/3), measured at 74 000 and 180 000 unknowns with PARDISO.
 ENTRIES_IN_SPACE = 43
-# Factors of fewer bytes fit into any memory. Unknowns of a node in space.
+# Factors of fewer bytes fit into any memory; and the unknowns of a node in space.
 LITTLE_MEMORY, AXES = 2.0**29, 3
-# Dense systems of more contact unknowns than this cost more than a sparse factorisation or two.
+# With more contact unknowns than this, dense systems cost more than one or two sparse factorisations.
 MANY = 3000
-# A large body that floats is factorised by SuperLU up to this size: beyond it the factors fill a workstation.
+# Up to this size a large floating body is factorised by SuperLU; beyond it the factors exceed typical memory.
 LARGEST_BY_SUPERLU = 500_000
 # Times relative to r^3 of condensing, measured on strips, plates and blocks: of each unknown, where a backend finds the
 # closed contacts, or of each entry, where a hierarchy does; of each operation of a sparse factorisation, in a backend,
-# by SuperLU and by PARDISO; operations per squared unknown in space. No more than SMALLEST is not worth looking at;
-# with more than OF_PLANES entries in a row a body fills its factors as one in space.
+# by SuperLU and by PARDISO; operations per squared unknown in space. Problems up to SMALLEST are not examined; with
+# more than OF_PLANES entries per row a body has the fill-in of one in space.
 PER_UNKNOWN, PER_ENTRY, IN_BACKENDS, BY_SUPERLU, BY_PARDISO, IN_SPACE = 1e4, 3.6e3, 2.4, 0.5, 0.05, 175
 SMALLEST, OF_PLANES = 3e7, 25
-# Where rows outnumber unknowns contacts close one by one, as many as there are unknowns: condensed systems of r$
-# of these then take r / OF_A_VERTEX times as long, measured with dense K of 700 unknowns between bounds.
+# Where rows outnumber unknowns contacts close one by one, as many as there are unknowns: condensed systems of r of
+# these then take r / OF_A_VERTEX times as long, measured with dense K of 700 unknowns between bounds.
 OF_A_VERTEX = 100
-# With friction both ways take combinations of states, and condensed systems cost more of each than sparse ones.
+# With friction both kinds of systems are solved for combinations of states, and each costs more if condensed.
 FRICTION_CONDENSED = 3.0
 
 
 class Systems(Enum):
-    """The systems that a problem is solved and judged by."""
+    """The systems by which a problem is solved and certified."""
 
     ITERATED = "products with K and a hierarchy, nothing being factorised"
     SPARSE = "sparse saddle points of all unknowns"
@@ -68,7 +68,7 @@ class Systems(Enum):
 
 
 def systems_of(problem: ContactProblem) -> Systems:
-    """Return the systems that are predicted to cost a problem least: `solve` takes these, and its certificate too."""
+    """Return the systems with the least predicted cost, which both `solve` and the certificate use."""
     if iterated(problem):
         return Systems.ITERATED
     if constraints_are_many(problem):
@@ -77,14 +77,13 @@ def systems_of(problem: ContactProblem) -> Systems:
 
 
 def iterated(problem: ContactProblem) -> bool:
-    """Return whether a problem is solved and judged without a factorisation.
+    """Return whether a problem is solved and certified without a factorisation.
 
-    In space that is where pyamg is installed and factors are predicted to cost far more than a proof is worth, or more
-    than the free memory; with more than 300 frictional contacts, none of them on springs, where they cost more than the
-    iteration. What cannot be iterated on, bodies that float along
-    motions that nobody has stated and methods that work with factors (`factorised`), is left to PARDISO, which refuses
-    what does not fit into memory. SuperLU, which cannot tell, is left bodies that float, up to a size. Always if the
-    variable CONTACTQP_SPARSE_SOLVER says pyamg, never if it names another solver.
+    In space this is so if pyamg is installed and factors are predicted to be far too expensive or to exceed the free
+    memory; with more than 300 frictional contacts, none of them on springs, if they cost more than the iteration.
+    Bodies that float along unstated motions, and methods that need factors (`factorised`), are left to PARDISO, which
+    refuses what does not fit into memory; SuperLU, which cannot predict it, is used for floating bodies up to a size.
+    CONTACTQP_SPARSE_SOLVER=pyamg forces the iteration, another solver prevents it.
     """
     chosen = os.environ.get(CHOICE, "")
     if chosen:
@@ -107,7 +106,7 @@ def _is_large(problem: ContactProblem) -> bool:
 
 
 def _of_cube(problem: ContactProblem) -> tuple[float, float]:
-    """Return the operations and bytes that factors of K take where it is that of a cube."""
+    """Return the operations and bytes of factors of K, if it is that of a cube."""
     n = problem.dimension
     return grid_operations(n, problem.stiffness_rows.nnz / n), 8.0 * ENTRIES_IN_SPACE * n ** (4 / 3)
 
@@ -115,8 +114,8 @@ def _of_cube(problem: ContactProblem) -> tuple[float, float]:
 def factors_are_dear(problem: ContactProblem) -> bool:
     """Return whether factors of K are predicted to take more than `MOST_OPERATIONS`, or more than the free memory.
 
-    Slender bodies take less than a cube: eliminated from one end to the other, n b^2 operations and n b entries with b
-    unknowns a level of the breadth-first search.
+    Slender bodies need less than a cube: eliminated from one end to the other, n b^2 operations and n b entries with b
+    unknowns per level of the breadth-first search.
     """
     operations, needed = _of_cube(problem)
     free = free_memory() if needed > LITTLE_MEMORY else None
@@ -124,7 +123,7 @@ def factors_are_dear(problem: ContactProblem) -> bool:
         return False
     n, of_stiffness = float(problem.dimension), problem._computed.of_stiffness
     if of_stiffness.widest_level is None:
-        nodes = problem.stiffness_rows[::AXES][:, ::AXES]  # an unknown of each: a ninth of the entries to search
+        nodes = problem.stiffness_rows[::AXES][:, ::AXES]  # one unknown per node, with a ninth of the entries
         of_stiffness.widest_level = AXES * (widest_level(nodes) or problem.dimension)
     operations = min(operations, n * of_stiffness.widest_level**2)
     needed = min(needed, 8.0 * n * of_stiffness.widest_level)
@@ -132,15 +131,15 @@ def factors_are_dear(problem: ContactProblem) -> bool:
 
 
 def _rests_on_springs(problem: ContactProblem) -> bool:
-    """Return whether K couples some unknowns to no other: springs behind contacts, of which no level is coarser.
+    """Return whether some unknowns are uncoupled in K, as springs behind contacts, which have no coarser level.
 
-    With friction on them the iteration takes five times as long as factors, or comes to no end.
+    With friction on them the iteration takes five times as long as factors, or does not converge.
     """
     return bool(np.any(np.diff(problem.stiffness.indptr) == 1))
 
 
 def contacts_are_many(problem: ContactProblem) -> bool:
-    """Return whether contacts are so many that a subset of candidates costs less; never with friction in the plane."""
+    """Return whether there are so many contacts that a subset costs less; never with friction in the plane."""
     cached = problem._computed.all_contacts
     if problem.frictional not in cached:
         cached[problem.frictional] = not _are_many(problem)
@@ -155,14 +154,14 @@ def _are_many(problem: ContactProblem) -> bool:
 
 
 def constraints_are_many(problem: ContactProblem) -> bool:
-    """Return whether sparse saddle points, identification of contacts included, should cost less than condensing.
+    """Return whether sparse saddle points, including the identification of contacts, should cost less than condensing.
 
     Condensed, the r unknowns that contacts and ties touch take time like r^3, and like r^4 where these rows outnumber
     the unknowns. Sparse, p unknowns and rows take time like p, for residuals and steps, and like the operations of a
     sparse factorisation: p b^2 for a band of b, 10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is
-    less; in space more. Where a hierarchy holds the bodies, factorisations are few; the interior point of a backend
-    takes one a step. Where K has no entry at more unknowns than a body has rigid motions, condensing would take each of
-    these for a motion.
+    less; in space more. With a hierarchy few factorisations are needed, while the interior point of a backend needs one
+    per step. If K has no entry at more unknowns than a body has rigid motions, condensing would treat each of these as
+    a motion.
     """
     cached = problem._computed.constraints_are_many
     if problem.frictional not in cached:
@@ -171,18 +170,18 @@ def constraints_are_many(problem: ContactProblem) -> bool:
 
 
 def condense_anyway(problem: ContactProblem) -> None:
-    """Condense a problem whatever is predicted, because sparse systems have not led to an answer."""
+    """Condense a problem regardless of predictions, as sparse systems have not led to an answer."""
     problem._computed.constraints_are_many[problem.frictional] = False
 
 
-# Contacts and ties that are condensed in a second or two where sparse systems have failed.
+# The number of contacts and ties that can be condensed in a second or two after sparse systems have failed.
 MOST_CONDENSED = 2500
 
 
 def may_be_condensed(problem: ContactProblem) -> bool:
-    """Return whether bodies that are stiff all over have few enough contacts and ties to condense them all.
+    """Return whether all unknowns have stiffness, and contacts and ties are few enough to be condensed.
 
-    Sparse systems know the energy of slender ones to fewer digits.
+    Sparse systems are less accurate for slender bodies.
     """
     return problem.contacts + problem.ties <= MOST_CONDENSED and bool(problem.diagonal.all())
 
@@ -199,7 +198,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
         rows.append(problem.tangent)
     times = FRICTION_CONDENSED if problem.frictional else 1.0
     if times * float(sum(some.nnz for some in rows)) ** 3 <= SMALLEST:
-        return False  # a row touches an unknown by an entry
+        return False  # rows have at most one entry per unknown
     dense = times * float(np.count_nonzero(np.bincount(np.concatenate([some.indices for some in rows])))) ** 3
     if not problem.frictional and problem.contacts + problem.ties > problem.dimension:
         dense *= max(1.0, dense ** (1 / 3) / OF_A_VERTEX)
@@ -213,12 +212,12 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
 
     def predicted(operations: float) -> tuple[float, float]:
-        # Friction takes combinations of states: no interior point knows of them, nor does a body that floats.
+        # Neither interior points nor floating bodies allow combinations of states with friction.
         with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
         return with_backends, PER_ENTRY * per_row * size + by_solver * operations
 
     if dense > max(predicted(grid)):
-        return True  # a narrower band only makes it cheaper
+        return True  # a narrower band would be cheaper still
     with_backends, with_hierarchy = predicted(min(grid, size * float(_band(problem)) ** 2))
     if (dense > with_backends) == (dense > with_hierarchy):
         return bool(dense > with_backends)
@@ -249,8 +248,8 @@ def _band(problem: ContactProblem) -> int:
 
 
 def may_be_factorised(problem: ContactProblem) -> bool:
-    """Return whether an iterated body may be factorised: by a solver that refuses what does not fit into memory, and
-    not where the user chose another.
+    """Return whether an iterated body may be factorised, by a solver that checks memory and unless the user chose
+    another.
     """
     return (pardiso.available() or not factors_are_dear(problem)) and not os.environ.get(CHOICE, "")
 
@@ -259,7 +258,7 @@ def may_be_factorised(problem: ContactProblem) -> bool:
 def factorised(problem: ContactProblem) -> Iterator[None]:
     """Allow a stiffness of any size to be factorised inside the block, for methods that work with factors.
 
-    Afterwards the factors are there, and what is asked of the same stiffness uses them.
+    Afterwards the factors are kept and used for the same stiffness.
     """
     of_stiffness = problem._computed.of_stiffness
     of_stiffness.factorised = True
@@ -271,12 +270,14 @@ def factorised(problem: ContactProblem) -> Iterator[None]:
 
 
 def held_by_hierarchy(problem: ContactProblem) -> bool:
-    """Return whether a multigrid hierarchy finds no floating body; False without pyamg."""
+    """Return whether no body floats according to a multigrid hierarchy; False without pyamg."""
     return iterable(problem) and bool(problem._computed.of_stiffness.supported)
 
 
 def iterable(problem: ContactProblem) -> bool:
-    """Return whether a multigrid hierarchy has the rigid motions of all floating bodies; False without pyamg."""
+    """Return whether the rigid motions of all floating bodies are known to a multigrid hierarchy; False without
+    pyamg.
+    """
     with problem.lock:
         of_stiffness = problem._computed.of_stiffness
         if of_stiffness.iterable is None:
@@ -380,7 +381,7 @@ class Iteration(ContactIteration):
         refuse_late(what)
 
     def smoother(self, rows: Indices, sprung: sp.csr_matrix) -> Callable[[Vector], Vector]:
-        """Return the function M r for bodies that some rows hold and springs on sums of rows, `sprung` E, join."""
+        """Return the preconditioner M r with constrained rows, and springs on sums of rows `sprung` E."""
         return self._hierarchy.cycle(rows, sprung)
 
     @property
@@ -424,7 +425,7 @@ class Iteration(ContactIteration):
         residual -= self._near.T @ (x[self.touched] - away)
 
     def run(self, x: Vector, residual: Vector, rows: Indices, held: ConstrainedRows) -> ConjugateGradients:
-        """Return conjugate gradients on the displacements that keep some rows; see `ContactIteration.run`.
+        """Return conjugate gradients on the displacements that satisfy constrained rows; see `ContactIteration.run`.
 
         Parameters
         ----------
@@ -447,7 +448,7 @@ class Iteration(ContactIteration):
 
 
 def _rigid_motions(problem: ContactProblem, hierarchy: Hierarchy) -> RigidMotions:
-    """Return the stated rigid motions of the bodies that float; refuse a body that may have others."""
+    """Return the stated rigid motions of floating bodies; raise Unsupported for a body that may have others."""
     floating = np.flatnonzero(hierarchy.soft > 0)
     if not floating.size:
         return RigidMotions(np.zeros((problem.dimension, 0)))
@@ -470,7 +471,7 @@ _INSTEAD = "hold it by supports, or factorise: CONTACTQP_SPARSE_SOLVER=pardiso (
 
 
 def iteration(problem: ContactProblem) -> Iteration:
-    """Return the iteration of a stiffness and its rows, which is made once and shared by all that `replace` derives."""
+    """Return the iteration of a stiffness and its rows, made once and shared by `replace`."""
     if problem._computed.iteration is None:
         problem._computed.iteration = Iteration(problem)
     made: Iteration = problem._computed.iteration
@@ -478,7 +479,7 @@ def iteration(problem: ContactProblem) -> Iteration:
 
 
 def frictional_iteration(problem: ContactProblem) -> Iteration:
-    """Return the iteration with tangential rows behind contacts and ties, on the same hierarchy."""
+    """Return the iteration with tangential rows after contacts and ties, on the same hierarchy."""
     if problem._computed.frictional_iteration is None:
         problem._computed.frictional_iteration = Iteration(problem, tangents=True, shared=iteration(problem))
     made: Iteration = problem._computed.frictional_iteration

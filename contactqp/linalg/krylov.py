@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients on the displacements that constrained rows allow, and bounds of their error.
+"""Preconditioned conjugate gradients on the displacements admissible by constrained rows, and bounds of their error.
 
 With z = M r, rho_k = r_k'z_k and step lengths a_k,
 
@@ -14,7 +14,7 @@ Projections in the metric of D = diag K give the displacements and forces that r
     forces      l = (E D^-1 E')^-1 E D^-1 r                  the forces on the rows that carry r best
     balanced    r - E' l                                     what they leave of it
 
-The rows may share unknowns. Rows that depend on others are set aside: they carry no force.
+The rows may share unknowns. Dependent rows are left out and have no force.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class Processes(Protocol):
         """Return the arrays of all processes, one after the other."""
 
     def offset(self, count: int) -> int:
-        """Return how many items the processes before this one have, where this one has `count`."""
+        """Return the number of items on earlier processes, where this one has `count`."""
 
     def broadcast(self, value: Any) -> Any:
         """Return a small value of the first process."""
 
 
 class OneProcess:
-    """The processes of a problem that one process has alone."""
+    """The processes of a problem on a single process."""
 
     rank = 0
 
@@ -73,7 +73,7 @@ class OneProcess:
 
 
 class Projections(Protocol):
-    """Projections of displacements and forces by rows that are held."""
+    """Projections of displacements and forces by constrained rows."""
 
     def admit(self, z: Vector) -> None:
         """Remove from z the part that moves the rows, in place."""
@@ -115,14 +115,14 @@ class ConjugateGradients:
     ) -> None:
         self._product, self._precondition, self._rows, self._dot = product, precondition, rows, dot
         self.x, self.residual = x, residual
-        self.unbalanced = rows.balanced(residual)  # what the forces on the rows leave of the residual
+        self.unbalanced = rows.balanced(residual)  # the residual less forces on the rows
         self.gained = 0.0  # |e_0|^2 - |e|^2
         self._lengths: list[float] = []  # a_k
         self._ratios: list[float] = []  # rho_k+1 / rho_k
-        self._square: float | None = None  # rho of the residual as it is; None until M is applied to it
-        self._before, self._before_size = np.inf, 1.0  # rho of the residual before it, and that residual squared
+        self._square: float | None = None  # rho of the current residual; None until M is applied to it
+        self._before, self._before_size = np.inf, 1.0  # rho of an earlier residual, and its square
         self._direction = np.zeros(0)
-        self.fall: Vector | None = None  # a direction d with d'K d < 0, where one was met
+        self.fall: Vector | None = None  # a direction d with d'K d < 0, if one was found
 
     @property
     def steps(self) -> int:
@@ -135,7 +135,7 @@ class ConjugateGradients:
         return self._square
 
     def estimate(self) -> float:
-        """Return rho as the last application of M has it, scaled with the residual; infinite before the first."""
+        """Return rho of the last application of M, scaled with the residual; infinite before the first."""
         return self._before * self._size() / self._before_size
 
     def _aim(self) -> float:
@@ -156,7 +156,7 @@ class ConjugateGradients:
         return float(self._dot(self.unbalanced, self.unbalanced))
 
     def step(self) -> bool:
-        """Make one iteration; return False where rounding or a singular K leaves no direction of descent."""
+        """Make one iteration; return False if rounding or a singular K leaves no direction of descent."""
         square = self.square()
         force = self._product(self._direction)
         stiffness = float(self._dot(self._direction, force))
@@ -185,14 +185,14 @@ class ConjugateGradients:
         return float(eigvalsh_tridiagonal(diagonal, np.sqrt(b) / a[:-1])[0])
 
 
-# A row of which its neighbours leave less than this, squared, depends on them; rounding leaves about 1e-16 of it.
+# A row is dependent if its squared part orthogonal to the others is below this; rounding leaves about 1e-16.
 DEPENDENT_SQUARED = 1e-10
-# Exactly dependent rows would leave a zero pivot, which SuperLU refuses: they leave one of these.
+# Added to the diagonal, as exactly dependent rows would give a zero pivot, which SuperLU refuses.
 LIFTS = (2.0**-52, 2.0**-46, 2.0**-40)
 
 
 class IndependentRows:
-    """(E C E')^-1 of the rows of E that depend on no others.
+    """(E C E')^-1 of independent rows of E.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class IndependentRows:
             rows = entries[self.kept]
 
     def _factorise(self, gram: Any) -> NDArray[np.bool_]:
-        """Factorise the scaled Gram matrix of the rows; return which rows do not depend on rows before them."""
+        """Factorise the scaled Gram matrix of the rows; return which rows do not depend on earlier ones."""
         from scipy.sparse.linalg import splu
 
         self._factor: Any = None
@@ -226,13 +226,13 @@ class IndependentRows:
             try:
                 self._factor = splu(sp.csc_matrix(gram + lift * sp.identity(gram.shape[0])), **options)
                 break
-            except RuntimeError:  # rounding has taken the lift away
+            except RuntimeError:  # the added diagonal was lost by rounding
                 if lift == LIFTS[-1]:
                     raise
         return np.asarray(self._factor.U.diagonal()[self._factor.perm_c] > DEPENDENT_SQUARED)
 
     def solve(self, lengths: Vector) -> Vector:
-        """Return the forces (a,) that cause the lengths (a,), zero on rows that depend on others."""
+        """Return the forces (a,) that cause the lengths (a,), zero on dependent rows."""
         force = np.zeros(self._count)
         if self.kept.size:
             scaled = self._scale * lengths[self.kept]
@@ -241,7 +241,7 @@ class IndependentRows:
 
 
 class AssembledRows:
-    """Rows over the unknowns `columns`, held at `limit`.
+    """Rows over the unknowns `columns`, constrained to `limit`.
 
     Parameters
     ----------
@@ -278,9 +278,9 @@ class AssembledRows:
         return left
 
 
-# Vectors that GMRES keeps until it starts anew.
+# The number of vectors of GMRES between restarts.
 RESTART = 60
-# What is left of a new direction beside those before it when rounding is all that is left.
+# The part of a new direction orthogonal to the earlier ones below which it is rounding.
 EXHAUSTED = 1e-14
 
 
@@ -295,7 +295,7 @@ def flexible_gmres(
 ) -> tuple[Vector, int]:
     """Reduce |r - A z| by GMRES that keeps the preconditioned directions z_k = M v_k (Saad 1993, algorithm 2.2).
 
-    The answer is a sum of these: no product and no application of M is needed to form or to check it.
+    The answer is a sum of these, formed and checked without products or applications of M.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def flexible_gmres(
         z[k] = along(v[k]) if k or first is None else first / size
         w = product(z[k])
         before = float(np.sqrt(dots(w[None], w)[0]))
-        for _ in range(2):  # the second time takes out the rounding of the first
+        for _ in range(2):  # the second time removes rounding of the first
             share = dots(v[: k + 1], w)
             hessenberg[: k + 1, k] += share
             w -= v[: k + 1].T @ share

@@ -1,6 +1,5 @@
-"""The displacement of least norm among those that motions leave which nothing drives, and that of sparse equations.
-
-Forces of redundant contacts with the least sum likewise, and sets of contacts that change one by one.
+"""Minimum-norm displacements along free motions and of sparse equations, redundant forces of least sum, and active sets
+that change by single contacts.
 """
 
 from __future__ import annotations
@@ -36,31 +35,30 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector, refuse_lat
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# What double precision cannot tell from zero, relative to the lengths or forces that meet, or to the terms of a sum.
+# Rounding in double precision, relative to the lengths or forces that meet, or to the terms of a sum.
 WITHIN_ROUNDING = 8 * EPS
-# Corrections of a shift whose rounding leaves contacts penetrated: each leaves eps of the one before.
+# Corrections of a shift that penetrates contacts by rounding; each reduces this by eps.
 SHIFT_CORRECTIONS = 3
-# Of a room that is 1 where there is any.
+# The least room that counts, where any room is scaled to 1.
 NO_ROOM = 0.5
-# Forces that are so many times those that act press against each other.
+# Forces beyond this multiple of the acting ones are self-equilibrated.
 PRESSED = 1e3
-# Forces beneath this part of the largest may be what refinement has left.
+# Forces below this part of the largest may be rounding errors of refinement.
 FEW_DIGITS = 1e-18
-# Changes of contacts one by one, times unknowns and contacts: where few are open at the end, some dozens lead there.
+# The budget of single changes, multiplied by unknowns and contacts.
 SINGLE_CHANGES = 600_000
-# The same of a dual active set, for all answers from which it goes on.
+# The budget of a dual active set for all its starts.
 DUAL_CHANGES = 1_500_000
-# Contacts that close while the largest penetration does not halve, before it is given up: forces that rounding leaves
-# unbalanced may drive motions without end.
+# The most contacts that close without halving the largest penetration, as residuals may drive unbounded motions.
 IN_VAIN = 50
-# Forces that fall by less than this for one on the row that is to close do not fall.
+# Rates of forces below this, per unit force on the closing row, count as zero.
 FALLS = 1e-9
 
 
 def shift_to_least_norm(
     problem: ContactProblem, condensation: Condensation, answer: Answer, closed: Indices
 ) -> tuple[Vector, Array]:
-    """Find the free motion that takes an answer to its least norm within the gaps.
+    """Return the free motion that minimises the norm of an answer within the gaps.
 
     Parameters
     ----------
@@ -82,7 +80,7 @@ def shift_to_least_norm(
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
-    # What a row feels of the motions is judged in the scale of the energy, in which units make no motion a small one.
+    # Products of rows with motions are compared in the scale of energy, which is independent of units.
     scale = condensation.unknown_scale
     basis = scale[:, None] * orthonormal(free / scale[:, None])
     felt = np.sqrt(problem.normal.power(2) @ scale**2)
@@ -118,11 +116,10 @@ def _blocked_either_way(rows: Array) -> Array | None:
 
 
 def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: Indices) -> Vector:
-    """Correct a shift along free motions where its rounding leaves some contacts penetrated.
+    """Correct a shift along free motions that penetrates contacts by rounding.
 
-    The norm of a displacement is one of units: where these are far apart, contacts at unknowns that count little in it
-    are met to few digits. What is missing is therefore found along a basis (n, q), orthonormal in the scale of the
-    energy.
+    The norm of a displacement depends on units, and contacts at unknowns with little weight are satisfied to few
+    digits. So the correction is found along a basis (n, q) that is orthonormal in the scale of energy.
     """
     rows = problem.normal[felt] @ basis
     for _ in range(SHIFT_CORRECTIONS):
@@ -134,15 +131,15 @@ def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basi
     return shift
 
 
-# Subtracted from the diagonal of the least solution's equations, beside rows of length one; refinement takes it back.
+# The regularisation of the minimum-norm equations with unit rows, removed by refinement.
 REGULARISATION, REFINEMENTS = 1e-12, 6
 
 
 def least_solution(rows: Any, right: Vector) -> Vector:
     """Return the x (q,) of least norm with R x = b for a sparse R (p, q), whose rows may depend on each other.
 
-    It is that of x + R' y = 0, R x - d y = b with a small d, refined until the rows are met as nearly as rounding
-    permits. Where rows depend on each other its norm is the least one but for some 1e-4 of it.
+    It solves x + R' y = 0, R x - d y = b with a small d, refined to rounding. With dependent rows its norm exceeds the
+    least one by at most about 1e-4.
 
     Raises BackendFailed: the factorisation ran out of memory, or met a pivot of zero.
     """
@@ -160,12 +157,12 @@ def least_solution(rows: Any, right: Vector) -> Vector:
     return np.asarray(found)
 
 
-# Rows of which the weights that cancel best are found densely, and how often those of more rows are mended.
+# The number of rows up to which weights are computed by dense algebra, and corrections for more rows.
 MOST_DENSE, CANCELLATIONS = 500, 2
 
 
 def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
-    """Return the weights (q,) for which the sum of unit rows is least; of many rows those near to given weights."""
+    """Return the weights (q,) with the least sum of unit rows; for many rows those near given weights."""
     rows = sp.csr_matrix(rows @ sp.diags(scale))
     if rows.shape[0] <= MOST_DENSE:
         length = np.linalg.norm(rows.toarray(), axis=1)
@@ -179,17 +176,17 @@ def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
 
 
 def presses(state: ClosedState) -> bool:
-    """Return whether forces of contacts and ties are so large beside those that act that they may press in pairs."""
+    """Return whether contact and tie forces are so large that they may be self-equilibrated."""
     problem = state.problem
     acting = float(np.max(problem.stiffness_sizes @ abs(state.answer.displacement.double()), initial=0.0))
     return state.force > PRESSED * max(acting, float(np.max(problem.load_size, initial=0.0)))
 
 
 def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state that holds, in which contacts and ties share what they carry with the least sum of forces.
+    """Return a solution in which contacts and ties carry the load with the least sum of forces.
 
-    Repeated rows may share a force in ways without end, and an interior point may have pressed them against each other
-    without bound. A linear program chooses contacts that carry it; the answer is solved anew on these.
+    Repeated rows may share a force arbitrarily, and an interior point may return large self-equilibrated forces. A
+    linear program selects contacts that carry the load, and the answer is solved again with these.
     """
     problem, closed = state.problem, np.flatnonzero(state.closed)
     carried = carried_by_rows(problem, state.answer)
@@ -212,12 +209,10 @@ def with_least_forces(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def without_needless_forces(state: ClosedState) -> ClosedState:
-    """Return a state without the forces of contacts and ties that nothing asks for.
+    """Return a state with zero forces of contacts and ties where neither load nor strain requires any.
 
-    Where no load acts and displacements strain nothing, as where the problem is but to meet constraints, the forces are
-    zero, and what refinement has left of them, however little, would be all that meets there. That is so for rows that
-    hang together by the unknowns which they share if none of these has a load, and K u vanishes there to the last
-    digits of the sum |K||u|.
+    As in a feasibility problem, forces are zero where rows connected by shared unknowns have no load and K u vanishes
+    to the last digits of |K||u|. Rounding errors of refinement would otherwise be the only forces that meet there.
     """
     problem, closed, answer = state.problem, np.flatnonzero(state.closed), state.answer.double()
     force = abs(np.concatenate([answer.normal_force[closed], answer.tie_force]))
@@ -246,12 +241,12 @@ def carried_by_rows(problem: ContactProblem, answer: ExtendedAnswer) -> Vector:
 
 
 def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state that a primal active set leads to; `holds` says whether it solves the problem.
+    """Return the state of a primal active set; `holds` tells whether it solves the problem.
 
-    Where contacts share unknowns, as rows of third differences do, tension spreads over all that lie beside one that
-    opens, and no set is near to which all at once change. Penetrated contacts close first, then those in tension open,
-    each the worst of those with which it shares an unknown; on the way to the solution without them contacts close in
-    the order in which they are reached. The energy falls, so that no set comes twice (Nocedal and Wright 2006,
+    Where contacts share unknowns, as with rows of third differences, tension spreads over the neighbours of a contact
+    that opens, so that changing all at once does not converge. Penetrated contacts close first, then those in tension
+    open, each the worst of those with which it shares an unknown; on the way to the solution without them contacts
+    close in the order in which they are reached. The energy decreases, so that no set recurs (Nocedal and Wright 2006,
     algorithm 16.3).
     """
     problem, changes = state.problem, iter(range(SINGLE_CHANGES // max(len(state.closed) + len(state.problem.load), 1)))
@@ -261,7 +256,7 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
     closings, openings = 0, 0
     while state.solved and not (state.holds or state.penetrated.any()) and _goes_on(changes, effort):
         pull = np.where(state.pulled, -state.answer.normal_force.double(), 0.0)
-        # Where most that open close again, all but one are in vain.
+        # If most of the opened contacts close again, only one is opened at a time.
         opened = worst_of_neighbours(problem, pull) if 2 * closings <= openings else pull == np.max(pull)
         closed, gap = state.closed & ~opened, np.where(state.closed, 0.0, np.maximum(state.left.gap.double(), 0.0))
         after, closings, openings = solved_on(problem, closed, state.answer, effort), 0, int(np.sum(opened))
@@ -283,17 +278,16 @@ def _goes_on(changes: Iterator[int], effort: Effort) -> bool:
 
 
 def by_dual_steps(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state that a dual active set leads to; `holds` says whether it solves the problem.
+    """Return the state of a dual active set; `holds` tells whether it solves the problem.
 
-    Where more contacts meet than unknowns can tell apart, rounding of the data decides which of them close, by forces
-    and gaps far beneath those that act, and changes of all at once go round. Here contacts in tension open first, as
-    long as the others balance the load. Then the contact that is penetrated most closes; on the way to the solution
-    with it those open whose forces reach zero first, and where its row depends on closed ones, one of these in its
-    place. No contact pulls on the way and the dual energy rises (Goldfarb and Idnani 1983).
+    Where more contacts meet than there are independent rows, rounding of the data determines which close, and changing
+    all at once cycles. Here contacts in tension open first, as long as the others balance the load. Then the most
+    penetrated contact closes; contacts open whose forces reach zero first, and if its row depends on closed ones, one
+    of these. No contact is in tension and the dual energy increases (Goldfarb and Idnani 1983).
     """
     most = DUAL_CHANGES // max(len(state.closed) + len(state.problem.load), 1)
     changes, effort.ranked, within = iter(range(effort.singles, most)), True, effort.most
-    effort.most = np.inf  # these are counted by themselves
+    effort.most = np.inf  # counted separately
     if not state.solved:
         state = solved_on(state.problem, state.closed, state.answer, effort)
     least, since = np.inf, 0
@@ -312,7 +306,7 @@ def by_dual_steps(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: Effort) -> ClosedState | None:
-    """Return the state that the dual active set leads to when a penetrated contact closes; None where it leads to none.
+    """Return the state of the dual active set after a penetrated contact closes, None if there is none.
 
     Parameters
     ----------
@@ -328,7 +322,7 @@ def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: E
         if after.solved:
             answer, change = after.answer, after.answer.normal_force.double() - force
             falling = closed & (force + change < -SIGNED * after.force)
-        else:  # the row depends on those of closed contacts, and contradicts them by more than rounding
+        else:  # the row depends on closed ones and contradicts them beyond rounding
             change = _pushed_by(state.problem, closed, contact, effort)
             falling = closed & (change < -FALLS)
         falling[contact] = False
@@ -343,7 +337,7 @@ def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: E
 
 
 def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effort) -> Vector:
-    """Return the change of contact forces (m,) when one contact pushes by one against the other closed ones."""
+    """Return the change of contact forces (m,) by a unit force on one contact with the others closed."""
     others, change = closed.copy(), np.zeros(problem.contacts)
     others[contact] = False
     held = np.flatnonzero(others)
@@ -356,9 +350,9 @@ def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effo
 
 
 def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
-    """Return the least w (p,) that meets rows w = -excess, ties w = 0 in the sense of least squares.
+    """Return the minimum-norm least-squares solution w (p,) of rows w = -excess, ties w = 0.
 
-    Rows that are dependent to rounding count as dependent.
+    Rows that are dependent up to rounding count as dependent.
     """
     every = np.vstack([rows, ties])
     size = np.linalg.norm(every, axis=1)

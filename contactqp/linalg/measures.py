@@ -1,35 +1,32 @@
-"""Forces and lengths that meet at an unknown or a contact, which residuals are measured by, and what counts as none.
+"""Compute the forces and lengths that meet at an unknown or contact, by which residuals are measured, and those that
+count as zero.
 
-Componentwise figures compare the forces and the lengths that meet at one place. Where displacements decay to 1e-20 of
-the largest, or a load acts on a support, nothing meets there but rounding, which must not be measured against itself.
-With D_j = 1/sqrt(K_jj) and the displacement u_e without its rigid part, the intrinsic size S [square root of energy] is
-the largest of
+Componentwise figures compare forces and lengths at one place. Where displacements decay to 1e-20 of the largest, or a
+load acts on a support, only rounding meets, which must not be compared with itself. With D_j = 1/sqrt(K_jj) and the
+displacement u_e without its rigid part, the intrinsic size S [square root of energy] is the largest of
 
     |u_e|_K,    max_j D_j |f|_j,    max_i length_i / |E_i D|,
 
 length_i being |g_i| where the answer closes that gap (|b_i| of a tie, |slip_origin_i| where contact i sticks there) and
 at most ten times |E_i||u_e| elsewhere; of rows that touch unknowns without stiffness too, which may yield, it is at
 most ten times what the stiff ones move. A problem without load and ties to impose lengths has its smallest gap. A force
-at unknown j is nothing up to t S / D_j, a length of row i up to t S |E_i D|, t being a thousandth of the tolerance,
-1e-12 by default. Nothing is also what no doubles could hold better: a rounding of |K||u| and of |E||u|, with the rigid
-part, and the few roundings of |K||z| that K, being rounded itself, leaves of a rigid motion z.
+at unknown j counts as zero up to t S / D_j, a length of row i up to t S |E_i D|, with t a thousandth of the tolerance,
+1e-12 by default. So does the rounding of doubles: of |K||u| and |E||u|, including the rigid part, and a few roundings
+of |K||z| for a rigid motion z.
 
-Where contacts carry a load past a spring too weak for it, S is what the spring alone would yield, and says nothing of
-the lengths there are. So no length counts as nothing above 1000 t = 1e-9 of the longest among the gaps, tie values and
-motions |E||u| of the part's rows, each over |E_i D|, where one of the first two is not zero; a slip, likewise, of the
-longest among these, the slip origins and the slips. What a solve in doubles rounds may be longer than that where the
-rows hardly move and what is around them does: 1e-14 |u_e|_K of the part is nothing all the same, up to 1e-6 of them.
+Where contacts carry a load beside a weak spring, S is the elongation of the spring alone and unrelated to actual
+lengths. So lengths count as zero at most up to 1000 t = 1e-9 of the longest among the gaps, tie values and
+displacements |E||u| of the part's rows, each over |E_i D|, if one of the first two is not zero; slips likewise with the
+slip origins and slips included. Rounding of a solve in doubles may be longer where rows hardly move but their
+surroundings do: 1e-14 |u_e|_K of the part also counts as zero, up to 1e-6 of these lengths. Where a body crosses a gap
+rigidly before it is loaded, S is unrelated to its loads, and redundant contacts may have self-equilibrated forces,
+which no bound shows. So with loads, contact forces count as zero at most up to 1e-9 of the largest of D_j |f|_j and
+|u_e|_K of the part, over D_j, or a rounding of |K||u|. Without loads, forces that all count as zero need not balance.
 
-Where a body crosses a gap rigidly before it is pressed, S says nothing of its loads, and redundant contacts may push
-and pull each other, which no bound sees. So where loads act, no force of a contact is nothing above 1e-9 of the largest
-of D_j |f|_j and |u_e|_K of its part, over D_j, or a rounding of |K||u|. Without load, forces all nothing need not
-balance.
-
-The resultant of contacts and ties, f - K u, is there with the first two, as D_j |K u|_j <= |u_e|_K. It is not formed of
-the forces themselves: those that redundant contacts and ties exert on each other may be of any size and excuse nothing.
-Parts of a problem that no stiffness, contact or tie connects have a size each, at least a tolerance (1e-9) of the
-largest: a heavy neighbour hides nothing. A part that nothing moves has the largest.
-What is excused is in the residuals that the bounds are made of, so it hides no error above theirs.
+The resultant of contacts and ties, f - K u, is included in the first two, as D_j |K u|_j <= |u_e|_K. The forces
+themselves are not used, as self-equilibrated ones may have any size. Parts of a problem that are not connected by
+stiffness, contact or tie have separate sizes, at least a tolerance (1e-9) of the largest; an unloaded part has the
+largest. The bounds are computed from all residuals, so that nothing is hidden from them.
 """
 
 from __future__ import annotations
@@ -49,7 +46,7 @@ from contactqp.model.solution import Answer, Nothing
 
 @dataclass(frozen=True, eq=False)
 class RowSizes:
-    """What rows E (r, n) are apart from their signs, entry by entry."""
+    """The absolute values of rows E (r, n)."""
 
     rows: Any  # E, CSR
     row: Indices  # (z,) the row of each entry
@@ -75,7 +72,9 @@ class RowSizes:
         return self._sums(self.rows.indices, self.entries * size[self.row], self.rows.shape[1])
 
     def measure(self, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
-        """Return max_j |E_ij l_i| / F_j (r,) of forces l (r,), F (n,) being what meets; up to `none` (n,) is 0."""
+        """Return max_j |E_ij l_i| / F_j (r,) of forces l (r,) with F (n,) the forces that meet; forces up to `none`
+        (n,) give 0.
+        """
         acting, at = self.entries * abs(force)[self.row], self.rows.indices
         measure = np.zeros(self.rows.shape[0])
         np.maximum.at(measure, self.row, ratio(acting if none is None else beyond(acting, none[at]), meeting[at]))
@@ -105,30 +104,29 @@ def sizes_of(rows: Any, diagonal: Vector | None = None) -> RowSizes:
     return RowSizes(rows, row, size, found.astype(float), touching, rows.indices[rows.indptr[touching]])
 
 
-# A gap that an answer leaves smaller than this part of its lengths is one that it closes.
+# A gap is closed by an answer if it is smaller than this part of its lengths.
 CLOSED = 1e-6
-# Gaps that stay open give a size up to so many times the lengths that meet there.
+# The largest size given by open gaps, relative to the lengths that meet there.
 WITHIN_REACH = 10.0
-# The size of a part that is connected with no other is at least this part of the largest.
+# The least size of a separate part, relative to the largest.
 BESIDE_OTHERS = 1e-9
-# Lengths are nothing up to a tolerance (1e-9) of the longest one at most, where the intrinsic size allows a thousandth.
+# The largest ratio of lengths that count as zero to the longest one, in units of the intrinsic fraction.
 OF_ALL_LENGTHS = 1e3
-# Forces and lengths of this part of the intrinsic size of problem and answer are nothing, unless another is asked for.
+# The default fraction of the intrinsic size below which forces and lengths count as zero.
 NOTHING_BY_DEFAULT = 1e-12
-# A row whose lengths are this part of the largest displacement around it, in the energy scale, is at rest.
+# A row is at rest if its lengths are below this part of the largest displacement around it, in the energy scale.
 ROUNDING_OF_LENGTH = 1e-14
-# Up to 1e-6, as CLOSED, where that is rounding of what moves around them.
+# Up to 1e-6, as CLOSED, if that is rounding of the displacements around them.
 OF_NEAR_LENGTHS = 1e6
-# What rounding a displacement to doubles makes of forces and lengths, relative to |K||u| and |E||u|: half a rounding of
-# every entry, and the signs are not all alike.
+# The error of forces and lengths by rounding a displacement to doubles, relative to |K||u| and |E||u|.
 HELD_BY_DOUBLES = EPS
-# A load on an unknown that neither stiffness nor a row touches is rounding up to this part of the largest load: such as
-# the component of a force across a bar, F sin(pi).
+# A load on an unknown without stiffness and rows, such as F sin(pi) across a bar, is rounding up to this part of the
+# largest load.
 ROUNDING_OF_LOADS = 64 * EPS
 
 
 def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vector:
-    """Return the intrinsic size S (n,) at each unknown: that of the connected part which it belongs to.
+    """Return the intrinsic size S (n,) at each unknown, that of its connected part.
 
     `elastic` (n,) is the displacement without its rigid part.
     """
@@ -146,7 +144,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
             moved, may = (of_row.lengths(one) for one in (np.where(stiff, abs(u), 0.0), np.where(stiff, 0.0, 1.0)))
             length = beside_yielding(length, moved, may > 0, of_row.compliance)
         np.maximum.at(size, part[of_row.first], length[of_row.touching])
-    size[~np.isfinite(size)] = 0.0  # what overflows excuses nothing
+    size[~np.isfinite(size)] = 0.0  # overflow must not excuse anything
     whole = float(size.max(initial=0.0))
     if not problem.load_size.any() and not problem.tie_value.any():
         gaps = in_energy(abs(problem.gap), row_sizes(problem, problem.normal).compliance)
@@ -163,7 +161,7 @@ def _strain(problem: ContactProblem, part: Indices, elastic: Vector) -> Vector:
 
 
 def _driven(problem: ContactProblem, part: Indices) -> Mask:
-    """Return whether a load, an overlap, or the length of a tie or a slip moves each part."""
+    """Return which parts have a load, an overlap, a tie value or a slip origin."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True
     for rows, limit in () if driven.all() else (one for one in rows_and_limits(problem) if one[1].size):
@@ -175,7 +173,7 @@ def _driven(problem: ContactProblem, part: Indices) -> Mask:
 
 
 def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:
-    """Return the forces and lengths that count as none: a fraction of the intrinsic sizes, or rounding.
+    """Return the forces and lengths that count as zero, a fraction of the intrinsic sizes or rounding.
 
     Parameters
     ----------
@@ -207,11 +205,10 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
 
 
 def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, along: bool) -> Vector:
-    """Return sizes S (n,), where larger cut to 1e3 times the longest of |g|, |b| and |E||u| in the part over |E_i D|.
+    """Return sizes S (n,) limited to 1e3 times the longest of |g|, |b| and |E||u| over |E_i D| in the part.
 
-    Lengths `along` contacts count, with their slip origins, only where asked for: what slides far may lie close. Sizes
-    stay as they are in parts where no length is stated, and are not cut below the strain of displacements `least` (n,),
-    but to 1e6 times the longest at most.
+    Tangential lengths with slip origins are included if `along` is set. Parts without stated lengths are not limited.
+    The limit is at least the strain of displacements `least` (n,), up to 1e6 times the longest length.
     """
     part, (longest, here) = parts(problem), _longest_stated(problem, along)
     cut = (longest > 0)[part] & (size > OF_ALL_LENGTHS * longest[part])
@@ -226,8 +223,8 @@ def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector
 def longest_stated(problem: ContactProblem) -> Vector:
     """Return the longest of |g|, |b| and |slip_origin| of the part of each unknown, over |E_i D|, (n,) in sqrt(energy).
 
-    It is infinite where none is stated. What contacts, ties and friction alone hold moves as far, whatever the forces
-    are: it is no rounding where it is no rounding of this.
+    It is infinite where none is stated. Displacements of bodies held by contacts, ties and friction only are of this
+    size, whatever the forces.
     """
     longest = _longest_stated(problem, along=True)[0][parts(problem)]
     return np.where(longest > 0, longest, np.inf)
@@ -252,9 +249,9 @@ def _raise_to(largest: Vector, part: Indices, of_row: RowSizes, length: Vector) 
 def _least_contact_force(
     problem: ContactProblem, elastic: Vector, size: Vector, part: float, held: Vector
 ) -> Vector | None:
-    """Return the forces (n,) up to which contacts push and pull nothing, or None where that is what residuals may be.
+    """Return the contact forces (n,) that count as zero, None if the same as for residuals.
 
-    Beside a gap that a body crosses rigidly these are 1000 t of its loads, or `held` (n,), a rounding of |K||u|.
+    Where a body crosses a gap rigidly they are 1000 t of its loads, or `held` (n,), a rounding of |K||u|.
     """
     D, of_part = scale_through_rows(problem), parts(problem)
     acting = np.zeros(int(of_part.max(initial=-1)) + 1)
@@ -269,7 +266,7 @@ def _least_contact_force(
 def of_rows(problem: ContactProblem, rows: Any, size: Vector) -> Vector:
     """Return the length S |E_i D| of every row that belongs to an intrinsic size S (n,) of the unknowns.
 
-    Rows that touch nothing stiff move with what other rows join them to (`scale_through_rows`).
+    Rows without stiff unknowns have the scale of connected rows (`scale_through_rows`).
     """
     of_row, beside = row_sizes(problem, rows), np.zeros(rows.shape[0])
     beside[of_row.touching] = size[of_row.first]
@@ -283,7 +280,7 @@ def bodies(problem: ContactProblem) -> Indices:
     """Return the number of the body, a connected part of K, that each unknown belongs to (n,)."""
     if (of_stiffness := problem._computed.of_stiffness).bodies is None:
         K, n = problem.stiffness_rows, problem.dimension
-        one = n > 0 and K.indptr[1] == n and K.has_canonical_format  # the first unknown is joined to each other
+        one = n > 0 and K.indptr[1] == n and K.has_canonical_format  # join the first unknown to each other one
         of_stiffness.bodies = np.zeros(n, dtype=np.intp) if one else connected_parts(K)[1].astype(np.intp)
     return of_stiffness.bodies
 
@@ -336,9 +333,9 @@ def imposed(limit: Vector, moved: Vector, whole: Vector, elastic: Vector, compli
 
 
 def beside_yielding(length: Vector, moved: Vector, may_yield: Mask, compliance: Vector) -> Vector:
-    """Return the lengths (r,) that rows impose, where unknowns without stiffness may take them up [root of energy].
+    """Return the lengths (r,) that rows impose if unknowns without stiffness may yield [root of energy].
 
-    A row that touches such an unknown imposes at most ten times what its stiff unknowns move.
+    A row with such an unknown imposes at most ten times the displacement of its stiff unknowns.
 
     Parameters
     ----------
@@ -351,16 +348,15 @@ def beside_yielding(length: Vector, moved: Vector, may_yield: Mask, compliance: 
 
 
 def in_energy(length: Vector, compliance: Vector) -> Vector:
-    """Return lengths of rows over |E_i D| (r,) [square root of energy]; rows that touch nothing stiff give zero."""
+    """Return lengths of rows over |E_i D| (r,) [square root of energy], zero for rows without stiff unknowns."""
     return np.divide(length, np.sqrt(compliance), out=np.zeros(length.shape), where=compliance > 0)
 
 
 def scale_through_rows(problem: ContactProblem) -> Vector:
     """Return D (n,): 1/sqrt(K_jj), or of an unknown without stiffness the scale that its rows give it, else 0.
 
-    Answers are measured by it. It is zero where rows lead to nothing stiff: there no length is nothing beside another.
-    A row that touches stiff unknowns k as well gives max_k |E_ik| D_k / |E_ij|; of several the largest counts, and what
-    has been given is given on.
+    Answers are measured by it. It is zero where rows reach nothing stiff, and no length counts as zero there. A row
+    with stiff unknowns k gives max_k |E_ik| D_k / |E_ij|; the largest of several is used and passed on to further rows.
     """
     if problem._computed.scale_through_rows is None:
         problem._computed.scale_through_rows = given_on(problem, reciprocal(np.sqrt(problem.diagonal)))
@@ -368,7 +364,7 @@ def scale_through_rows(problem: ContactProblem) -> Vector:
 
 
 def given_on(problem: ContactProblem, D: Vector) -> Vector:
-    """Return scales (n,) that rows have given on, as in `scale_through_rows`, to the unknowns where D (n,) is zero."""
+    """Return scales (n,) with rows' scales at the unknowns where D (n,) is zero, as in `scale_through_rows`."""
     unknown = D == 0  # yet
     while unknown.any():
         given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
@@ -389,7 +385,7 @@ def _given_by(rows: Any, D: Vector) -> Vector:
 
 
 def untouched(problem: ContactProblem) -> Any:
-    """Return whether neither the stiffness nor a row touches each unknown (n,)."""
+    """Return which unknowns (n,) have neither stiffness nor rows."""
     if problem._computed.untouched is None:
         touched = problem.diagonal > 0
         for rows, _ in () if touched.all() else rows_and_limits(problem):
@@ -399,13 +395,13 @@ def untouched(problem: ContactProblem) -> Any:
 
 
 def lay_out(problem: ContactProblem) -> None:
-    """Form what residuals and figures of every answer need of the stiffness, so that no timing includes it."""
+    """Form the data of the stiffness for residuals and figures in advance, so that no timing includes it."""
     extended_rows(problem).lay_out()
     problem.stiffness_sizes, bodies(problem)
 
 
 def inner_forces(problem: ContactProblem, displacement: Vector) -> Vector:
-    """Return |K||u| (n,) [force], which is kept for the last displacement whose array cannot be changed."""
+    """Return |K||u| (n,) [force], kept for the last displacement with a read-only array."""
     kept = problem._computed.of_answer.inner_forces
     if kept is None or kept[0] is not displacement:
         kept = displacement, np.asarray(problem.stiffness_sizes @ abs(displacement))
@@ -430,7 +426,7 @@ def outer_forces(problem: ContactProblem, answer: Answer) -> Vector:
 
 
 def force_size(problem: ContactProblem, rows: Any, force: Vector) -> float:
-    """Return |D E'l|, the size of forces of rows at their own unknowns, the rest held [square root of energy]."""
+    """Return |D E'l|, the size of forces of rows at their own unknowns with the rest fixed [square root of energy]."""
     felt = problem.own_scale * row_sizes(problem, rows).resultant(force)
     return float(np.sqrt(felt @ felt))
 
@@ -439,8 +435,8 @@ def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displac
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
     It is zero where it is no more than the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies
-    that the row touches, D = 1/sqrt(K_jj): a support at zero (u_j = 0 as a row) holds its unknown at rounding, which
-    measured against itself would be a gross violation. Measured against infinity it is none: 0/0 is 0.
+    that the row touches, D = 1/sqrt(K_jj): the displacement at a support (u_j = 0 as a row) is a rounding error, which
+    relative to itself would be a violation. Relative to infinity it is none, as 0/0 is 0.
 
     Parameters
     ----------
@@ -471,7 +467,7 @@ def own_compliance(problem: ContactProblem, rows: Any) -> Vector:
 
 
 def lengths(vectors: Array) -> Vector:
-    """Return |v| of every row of vectors (m, d), infinite where an entry is, and correct where squares exceed doubles.
+    """Return |v| of every row of vectors (m, d), infinite if an entry is, and without overflow of squares.
 
     >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
     ['5e+200', '5e-200']
@@ -496,5 +492,5 @@ def reciprocal(size: Array) -> Array:
 
 
 def beyond(size: Vector, none: Vector) -> Vector:
-    """Return sizes with 0 where they are at most `none`; NaN stays, and an infinite `none` excuses nothing."""
+    """Return sizes with 0 where they are at most `none`; NaN is kept, and an infinite `none` has no effect."""
     return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))

@@ -1,18 +1,18 @@
 """Smoothed aggregation: a symmetric positive definite M near the inverse of a large stiffness, made of products alone.
 
-One V-cycle of algebraic multigrid (Vanek, Mandel and Brezina 1996): unknowns that K couples form aggregates, on each of
-them the near-null-space B is cut out and made orthonormal (both by pyamg), one step of damped Jacobi smooths that,
+One V-cycle of algebraic multigrid (Vanek, Mandel and Brezina 1996): coupled unknowns form aggregates, on each of which
+the near-null-space B is restricted and orthonormalised (both by pyamg) and smoothed by one step of damped Jacobi,
 
     P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,    D = diag K,    rho = largest eigenvalue of D^-1 K,
 
 and a Chebyshev polynomial of D^-1 K acts before and after the coarse correction (Adams, Brezina, Hu and Tuminaro 2003).
 
-The coarsest level of the hierarchy is factorised densely once for every set of rows that may hold. With t the unknowns
-that rows touch and o the others, scaled to a diagonal of ones,
+The coarsest level is factorised densely for every set of constrained rows. With t the unknowns that rows touch and o
+the others, scaled to a diagonal of ones,
 
     K_oo = L L',    X = L^-1 K_ot,    S = K_tt - X'X,
 
-and S + E'CE, of few unknowns, is all that a change of the rows factorises anew.
+so that after a change of the rows only S + E'CE, of few unknowns, is factorised.
 """
 
 from __future__ import annotations
@@ -29,26 +29,25 @@ from contactqp.errors import BackendMissing, Unsupported
 from contactqp.linalg.pardiso import products
 from contactqp.model.arrays import EPS, Array, Indices, Mask, refuse_late
 
-# Unknowns of the coarsest level, which is factorised densely; where rows touch most of them it is factorised anew for
-# every set of rows, and beyond some hundred that costs more than another level does.
+# The most unknowns of the coarsest level. Where rows touch most of them it is factorised for every set of rows, which
+# beyond some hundred costs more than another level.
 COARSEST, COARSEST_TOUCHED = 1500, 400
-# The scaled diagonal of bodies that float is lifted by this part on the coarsest level: little beside what deformations
-# cost, much beside the rounding that rigid motions are left with.
+# Added to the scaled diagonal of floating bodies on the coarsest level, small compared with deformations and large
+# compared with rounding of rigid motions.
 LIFT = 1e-10
 MOST_LEVELS = 12
-# Steps of Lanczos' method find the largest eigenvalue to a few per cent; what is missing is allowed for.
+# Steps of Lanczos' method give the largest eigenvalue to a few per cent, and a safety factor is applied.
 LANCZOS_STEPS, ALLOWANCE = 10, 1.1
-# Blocks of unknowns are stored as such where that adds no more than this to the entries.
+# Block storage is used if it increases the entries by no more than this factor.
 BLOCK_FILL = 1.2
-# A motion of a body that costs this part of what its unknowns, each alone, would cost is rigid, or so softly held that
-# rounding decides: one support among a million unknowns leaves 1e-6.
+# A motion is considered rigid if b'Kb / b'Db is below this; one support among a million unknowns gives 1e-6.
 FLOATING = 1e-12
-# Damping of the Jacobi step on the prolongator, over the largest eigenvalue: the least energy of its columns.
+# Damping of the Jacobi step on the prolongator times the largest eigenvalue, for the least energy of its columns.
 JACOBI = 4 / 3
 
 
 def available() -> bool:
-    """Return whether pyamg is installed; nothing is imported to find out."""
+    """Return whether pyamg is installed, without importing it."""
     return importlib.util.find_spec("pyamg") is not None
 
 
@@ -81,9 +80,9 @@ class Hierarchy:
     ----------
     bodies : (n,) array, the number of the connected part of K that each unknown belongs to
     held : (number of bodies,) array
-        The least energy b'Kb / b'Db of a motion b out of B, body by body: rounding where the body floats.
+        The least ratio b'Kb / b'Db of motions b in the span of B for each body, rounding if the body floats.
     soft : (number of bodies,) array of int
-        The dimension of the space of motions out of B whose energy is at most FLOATING.
+        The dimension of the space of motions in the span of B with a ratio of at most FLOATING.
     """
 
     def __init__(self, stiffness: Any, motions: Array | None = None, coarsest: int | None = None) -> None:
@@ -91,7 +90,7 @@ class Hierarchy:
             raise BackendMissing("pyamg is not installed: pip install pyamg")
         try:
             importlib.import_module("pyamg.aggregation")
-        except ImportError as error:  # one that wants a newer SciPy, say
+        except ImportError as error:  # such as one for a newer SciPy
             raise BackendMissing(f"pyamg: {error}; pip install --upgrade pyamg") from error
         matrix = in_blocks(stiffness)
         B = np.zeros((len(matrix.diagonal()), 0)) if motions is None else of_size_one(motions)
@@ -103,7 +102,7 @@ class Hierarchy:
             diagonal, product = _positive(matrix.diagonal()), products(matrix)
             largest = largest_eigenvalue(product, diagonal)
             aggregates = _aggregates(matrix) if matrix.shape[0] > (coarsest or COARSEST) else None
-            if not self.levels:  # K B is not K T B_coarse of unknowns that nothing couples, which no aggregate has
+            if not self.levels:  # uncoupled unknowns belong to no aggregate, so K B differs from K T B_coarse
                 self.held, self.soft = self._least_energies(B, matrix @ B, diagonal)
             if aggregates is None or len(self.levels) == MOST_LEVELS:
                 self.levels.append(Level(matrix, product, diagonal, largest))
@@ -124,7 +123,7 @@ class Hierarchy:
             for j in range(q):
                 energy[:, i, j] = np.bincount(self.bodies, B[:, i] * forces[:, j], count)
                 size[:, i, j] = np.bincount(self.bodies, B[:, i] * diagonal * B[:, j], count)
-        if q == 1:  # of as many bodies as unknowns, where K is diagonal
+        if q == 1:  # K may be diagonal, with as many bodies as unknowns
             ratio = (energy / size).ravel()
             return ratio, (ratio <= FLOATING).astype(np.intp)
         ratios = [energy_ratios(e, s)[0] for e, s in zip(energy, size, strict=True)]
@@ -142,14 +141,14 @@ def energy_ratios(energy: Array, size: Array) -> tuple[Array, Array]:
 
 
 def _positive(diagonal: Array) -> Array:
-    """Return a diagonal with ones in place of zeros, which coarse unknowns without a motion have."""
+    """Return a diagonal with ones in place of zeros of coarse unknowns without a motion."""
     return np.where(diagonal > 0, diagonal, 1.0)
 
 
 def in_blocks(stiffness: Any, total: Callable[[int], int] = int) -> Any:
     """Return K in blocks of three or two unknowns where its entries come in such blocks, else by rows.
 
-    Where it is some rows of K, that cut no block, `total` is the sum over all who have some.
+    For a part of the rows of K, which cuts no block, `total` sums over all parts.
     """
     rows = sp.csr_matrix(stiffness)
     entries = total(rows.nnz)
@@ -162,7 +161,7 @@ def in_blocks(stiffness: Any, total: Callable[[int], int] = int) -> Any:
 
 
 def _as_blocks(matrix: Any) -> Any:
-    """Return a matrix by rows as one of blocks of one, without a copy: products with blocks stay blocks."""
+    """Return a CSR matrix as one of blocks of size one, without a copy, so that products with blocks are blocks."""
     if matrix.format == "bsr":
         return matrix
     return sp.bsr_matrix((matrix.data.reshape(-1, 1, 1), matrix.indices, matrix.indptr), shape=matrix.shape)
@@ -181,7 +180,7 @@ def _graph(matrix: Any) -> Any:
 def of_size_one(motions: Array, most: Callable[[Array], Array] = np.asarray) -> Array:
     """Return the motions that are not zero, each divided by its largest entry.
 
-    `most` is the largest, entry by entry, of all who have a part of the motions.
+    `most` is the maximum, entry by entry, over all processes.
     """
     largest = most(np.max(abs(motions), axis=0, initial=0.0))
     return np.asarray(motions[:, largest > 0] / largest[largest > 0])
@@ -195,13 +194,13 @@ def constants(count: int, size: int) -> Array:
 def _bodies(matrix: Any) -> Indices:
     from scipy.sparse.csgraph import connected_components
 
-    # The graph is symmetric: its strong components are its components, and are found without transposing it.
+    # As the graph is symmetric, strong components equal components and are found without a transposition.
     _, label = connected_components(_graph(matrix), directed=True, connection="strong")
     return np.repeat(label, block_size(matrix))
 
 
 def _aggregates(matrix: Any) -> Any:
-    """Return aggregates of neighbouring blocks as a matrix (blocks, aggregates); None where nothing gets coarser."""
+    """Return aggregates of neighbouring blocks as a matrix (blocks, aggregates), None if it is not coarser."""
     from pyamg.aggregation.aggregate import standard_aggregation
 
     aggregates, _ = standard_aggregation(_graph(matrix))
@@ -226,9 +225,9 @@ def _scaled_rows(product: Any, scale: Array, like: Any) -> Any:
 def largest_eigenvalue(
     product: Callable[[Array], Array], diagonal: Array, dot: Callable[[Array, Array], float] = np.dot
 ) -> float:
-    """Return the largest eigenvalue of D^-1 K by Lanczos' method from a fixed vector, with an allowance for the rest.
+    """Return the largest eigenvalue of D^-1 K by Lanczos' method from a fixed vector, with a safety factor.
 
-    `dot` is a'b, of all who have a part of the vectors.
+    `dot` is a'b over all processes.
     """
     from scipy.linalg import eigvalsh_tridiagonal
 
@@ -251,7 +250,7 @@ def largest_eigenvalue(
 
 
 class SingularLevel(Unsupported):
-    """A level that Cholesky's method finds singular."""
+    """A level is singular, as its Cholesky factorisation failed."""
 
 
 class CoarsestLevel:
@@ -321,7 +320,7 @@ def cholesky(matrix: Array) -> Array:
 
 
 def forward(lower: Array, right: Array) -> Array:
-    """Return L^-1 right, also of empty matrices, which LAPACK refuses."""
+    """Return L^-1 right, also for empty matrices, which LAPACK refuses."""
     from scipy.linalg import solve_triangular
 
     return np.asarray(solve_triangular(lower, right, lower=True, check_finite=False)) if right.size else right.copy()

@@ -1,11 +1,10 @@
 """The dual of a strictly convex contact problem: min 1/2 l'Wl - h'l over l_i >= 0 for contacts, l_i free for ties.
 
 The dual active-set method of Goldfarb and Idnani (1983) in terms of W: each step closes the most penetrated contact and
-opens those whose force it drives through zero, so the energy rises strictly and no set of contacts comes twice. It
-ends after finitely many steps, with redundant contacts too: a row that depends on closed ones replaces one of them
-instead of joining them.
+opens those whose force reaches zero, so that the energy rises strictly and no set recurs. It ends after finitely many
+steps, also with redundant contacts, as a row that depends on closed ones replaces one of them.
 
-Contacts whose rows depend on one another may share a force in many ways: `Sharing` looks through them.
+`Sharing` treats the many distributions of a force over contacts with dependent rows.
 
 Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 """
@@ -21,27 +20,27 @@ import scipy.sparse as sp
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late, seconds_left
 from contactqp.model.problem import ContactProblem
 
-# W has a unit diagonal: a row whose own compliance falls below this once the closed contacts are held depends on them.
+# W has a unit diagonal: a row depends on the closed contacts if they reduce its compliance below this.
 DEPENDENT = 1e-11
-# Active rows from which on their inverse is kept, and the part of W by which it may miss before it is formed anew.
+# The number of active rows from which their inverse is updated, and its relative error from which it is recomputed.
 MANY, WORN = 200, 1e-6
-# Steps between two looks at the clock.
+# The number of steps between two checks of the time.
 STEPS_UNTIMED = 8
-# The energy rises with each step; where it has fallen by this part, and by more than rounding of its terms, or has not
-# risen in as many steps as there are rows, W does not have the digits to go on.
+# The energy rises with each step. If it falls by this part and beyond rounding, or does not rise in as many steps as
+# there are rows, W is not accurate enough to continue.
 FALLEN, ROUNDED = 1e-3, 1e-12
-# A shift within gaps may overshoot them by this part of its lengths: a few roundings.
+# The rounding by which a shift may exceed gaps, relative to its lengths.
 SHIFT_SLACK = 1e-15
-# Forces of a linear program beneath this part of what they carry are none.
+# Forces of a linear program below this part of the load count as zero.
 CARRIES = 1e-9
-# Steps of the simplex method for every row and unknown: programs that end take one or two.
+# The most steps of the simplex method for each row and unknown; one or two are usual.
 SECONDS, LEAST_STEPS, STEPS_OF_A_ROW = 20.0, 1000, 5
 # HiGHS' simplex method has ended processes ("double free") on costs of 1e12.
 HIGHEST_COST = 1e9
 
 
 class Infeasible(Exception):
-    """The rows of the set and the one that was to join them conflict, to the accuracy of W."""
+    """The rows of the set and the entering one conflict, to the accuracy of W."""
 
     def __init__(self, rows: list[int]) -> None:
         super().__init__()
@@ -79,20 +78,20 @@ def dual_active_set(W: Array, h: Vector, free: Mask, tolerance: Vector, max_step
         if energy > highest:
             highest, at = energy, step
         elif step - at > len(h) or energy < highest - max(FALLEN * abs(highest), ROUNDED * float(abs(h) @ abs(force))):
-            return force, step, False  # to the accuracy of W it rises no more
+            return force, step, False  # it has converged to the accuracy of W
         _close(h, force, active, i, free)
     return force, max_steps, False
 
 
 class _ActiveRows:
-    """The active rows of W, and of MANY of them the inverse of their W, which each change updates in O(q^2)."""
+    """The active rows of W, with the inverse of their block if there are MANY, updated in O(q^2) by each change."""
 
     def __init__(self, W: Array, rows: list[int]) -> None:
         self.W, self.rows = W, rows
         self._inverse: Array | None = None
 
     def drag(self, i: int) -> Vector:
-        """Return what one of force on row i takes from those of the active rows, W_aa^-1 W_ai."""
+        """Return the reduction of active forces per unit force on row i, W_aa^-1 W_ai."""
         rows, held = self.rows, self.W[self.rows, i]
         if len(rows) < MANY:
             self._inverse = None
@@ -108,14 +107,14 @@ class _ActiveRows:
         return found + inverse @ missed
 
     def append(self, i: int, drag: Vector, compliance: float) -> None:
-        """Add row i, of this drag and of this compliance while the others are held."""
+        """Add row i with its drag and its compliance with the others closed."""
         self.rows.append(i)
         if self._inverse is not None:
             border = np.append(-drag, 1.0)
             self._inverse = np.pad(self._inverse, (0, 1)) + np.outer(border, border / compliance)
 
     def drop(self, k: int) -> int:
-        """Remove the row in place k, and return which it was."""
+        """Remove the k-th row and return its index."""
         if self._inverse is not None:
             across = np.delete(self._inverse[k], k)
             inner = np.delete(np.delete(self._inverse, k, 0), k, 1)
@@ -124,7 +123,7 @@ class _ActiveRows:
 
 
 def _close(h: Vector, force: Vector, active: _ActiveRows, i: int, free: Mask) -> None:
-    """Raise the force of row i until its excess is gone, dropping rows whose force reaches zero on the way."""
+    """Raise the force of row i until its excess is zero, dropping rows whose force reaches zero before."""
     W, rows = active.W, active.rows
     while True:
         drag = active.drag(i)
@@ -146,7 +145,7 @@ def _close(h: Vector, force: Vector, active: _ActiveRows, i: int, free: Mask) ->
 
 
 def _independent(W: Array, rows: Indices) -> list[int]:
-    """Return the rows that do not depend on rows before them."""
+    """Return the rows that do not depend on earlier ones."""
     chosen: list[int] = []
     for i in rows:
         held = W[np.ix_(chosen, chosen)]
@@ -159,8 +158,8 @@ def _independent(W: Array, rows: Indices) -> list[int]:
 def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, float]:
     """Minimise |matrix x - right| over x >= 0 by the algorithm of Lawson and Hanson (1974); return x and this residual.
 
-    The residual is NaN, and x zero, where that takes too many steps. A matrix without columns is answered here: SciPy
-    1.17 frees memory twice for it, which ends the process.
+    The residual is NaN, and x zero, where that takes too many steps. A matrix without columns is treated here, as it
+    crashes SciPy 1.17.
     """
     from scipy.optimize import nnls
 
@@ -177,7 +176,7 @@ def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, flo
 def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -> tuple[Vector, float]:
     """Return forces l (q,), not negative on `pushing_only`, for which |rows'l - resultant| is least, and this residual.
 
-    The residual is NaN, and the forces are zero, where these least squares end without an answer.
+    The residual is NaN, and the forces are zero, if the least squares do not converge.
     """
     share, residual = nonnegative_least_squares(np.vstack([rows, -rows[~pushing_only]]).T, resultant)
     force = share[: len(rows)].copy()
@@ -188,8 +187,7 @@ def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -
 def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     """Return the nearest shift that leaves no contact penetrated: min |a - wanted| subject to rows a <= gap.
 
-    Where there is none, as between contacts that touch on both sides and are penetrated by rounding, those that are
-    penetrated stay so.
+    If there is none, as between two contacts penetrated by rounding, these remain penetrated.
     """
     length = np.linalg.norm(rows, axis=1)
     unit, room = rows / length[:, None], gap / length
@@ -203,12 +201,14 @@ def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
 
 
 def given_rows(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:
-    """Return rows and limits of a linear program as `highs` takes them, "ub" or "eq"; nothing where there are none."""
+    """Return rows and limits of a linear program as arguments of `highs`, "ub" or "eq", none without rows."""
     return {f"A_{kind}": rows, f"b_{kind}": limits} if rows.shape[0] else {}
 
 
 def highs(cost: Vector, **constraints: Any) -> Any:
-    """Solve a linear program as `linprog` takes it by the simplex method; None where it fails or costs are high."""
+    """Solve a linear program in the form of `linprog` by the simplex method; None if it fails or costs are too
+    large.
+    """
     from scipy.optimize import linprog
 
     if not np.max(abs(cost), initial=0.0) <= HIGHEST_COST:
@@ -224,14 +224,14 @@ def highs(cost: Vector, **constraints: Any) -> Any:
     return found if found.x is not None and found.status == 0 else None
 
 
-# Rows of unit length that are combinations of others to this part of the largest singular value depend on them.
+# Unit rows are dependent up to this part of the largest singular value.
 DEPENDENT_ROWS = 1e-10
-# Of shared forces this part of the largest is none.
+# Shared forces below this part of the largest count as zero.
 SEEN = 1e-6
 
 
 class Sharing:
-    """The ways in which contacts that touch, and ties, may share the force that they exert, in the root of energy.
+    """The possible distributions of a resultant over touching contacts and ties, in the root of energy.
 
     A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
     that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
@@ -262,26 +262,26 @@ class Sharing:
         return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
 
     def takes_part(self, grazes: Mask) -> bool:
-        """Return whether those that graze (q,) can hold one another, or what the others hold."""
+        """Return whether grazing contacts (q,) can carry forces, among themselves or of the others."""
         grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
         resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
         _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
         return not residual > CARRIES
 
     def only(self, ties: bool) -> bool:
-        """Return whether nothing may be added to the forces of contacts, or to those of ties, of any size and sign."""
+        """Return whether the forces of contacts, or with `ties` those of ties, are unique."""
         of_contacts, of_ties = np.split(self.rows, [len(self._contacts)])
         own, others = (of_ties, of_contacts) if ties else (of_contacts, of_ties)
-        own = own[np.any(own != 0, axis=1)]  # rows of zeros exert nothing, and have no force
+        own = own[np.any(own != 0, axis=1)]  # rows of zeros have no force
         return len(self._basis) == len(own) + _rank(others)
 
     def _cost(self, gap: Vector, tie_value: Vector) -> Vector:
-        """Return what a unit of each force costs as gaps (m,) and tie values (k,) change, the largest one."""
+        """Return the cost of unit forces as gaps (m,) and tie values (k,) change, scaled to a maximum of one."""
         cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
         return np.asarray(cost / (np.max(abs(cost), initial=0.0) or 1.0))
 
     def _least(self, resultant: Vector, cost: Vector) -> tuple[Any, Array, Vector]:
-        """Return the linear program of the forces that cost least, its rows and what these are to exert."""
+        """Return the linear program of the forces of least cost, its rows and their resultant."""
         from scipy.optimize import linprog
 
         span, told = self._basis @ self.rows.T, self._told(resultant)
@@ -289,7 +289,7 @@ class Sharing:
         return linprog(cost, A_eq=span, b_eq=told, bounds=self._limits, method="highs-ds"), span, told
 
     def carrying(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
-        """Return contacts, independent of one another, that may carry all as gaps (m,) and tie values (k,) change."""
+        """Return independent contacts that carry the resultant as gaps (m,) and tie values (k,) change."""
         least, _, _ = self._least(resultant, self._cost(gap, tie_value))
         if least.status != 0:
             return None
@@ -297,7 +297,7 @@ class Sharing:
         return np.asarray(self._contacts[force > CARRIES * np.max(abs(least.x), initial=0.0)], dtype=np.intp)
 
     def joining(self, resultant: Vector, carrying: Indices, may: Indices) -> Indices:
-        """Return contacts among those that may, independent of what carries and of ties, that push for the rest of it.
+        """Return contacts among `may`, independent of the carrying ones and of ties, that carry the rest.
 
         Parameters
         ----------
@@ -318,7 +318,7 @@ class Sharing:
         return np.asarray(self._contacts[places[pushing][force > CARRIES]], dtype=np.intp)
 
     def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
-        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change; None where these cannot."""
+        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change, None if impossible."""
         from scipy.optimize import linprog
 
         cost = self._cost(gap, tie_value)
@@ -334,18 +334,18 @@ class Sharing:
         return np.array(stays, dtype=np.intp)
 
     def alone(self, contacts: Indices, resultant: Vector) -> tuple[Vector, Array]:
-        """Return forces of some of these contacts that exert it alone, and a basis (q, p) of what may be added."""
+        """Return forces of these contacts alone with this resultant, and a basis (q, p) of what may be added."""
         ties = np.ones(len(self.rows) - len(self._contacts), dtype=bool)
         places = np.concatenate([np.isin(self._contacts, contacts), ties])
         rows, lengths = self.rows[places], self._lengths[places]
         force = np.linalg.lstsq(rows.T, (resultant * self._unit)[self._felt], rcond=DEPENDENT_ROWS)[0]
         turned, sizes, _ = np.linalg.svd(rows)
         more = turned[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
-        more = np.where(abs(more) > DEPENDENT_ROWS, more, 0.0)  # rounding of what no sharing changes
+        more = np.where(abs(more) > DEPENDENT_ROWS, more, 0.0)  # rounding of unique forces
         return (force / lengths)[: len(contacts)], (more / lengths[:, None])[: len(contacts)]
 
     def reach(self, resultant: Vector, rate: Vector) -> float:
-        """Return the largest step x along which contacts can exert the force resultant + x rate without pulling."""
+        """Return the largest step x for which contacts can exert resultant + x rate without tension."""
         return longest_step(self._basis @ self.rows.T, self._told(resultant), self._told(rate), self._limits)
 
 
@@ -373,7 +373,7 @@ def _rank(rows: Array) -> int:
 
 
 def width_within(turns: Array, signs: Vector, far: float) -> float:
-    """Return how far apart z with signs + turns z >= 0 and |z| <= far may be along some direction, 0 where none is."""
+    """Return the largest width of the set of z with signs + turns z >= 0 and |z| <= far, 0 if it is empty."""
     from scipy.optimize import linprog
 
     along, ends = np.cos(np.arange(1.0, turns.shape[1] + 1)), []
@@ -386,9 +386,9 @@ def width_within(turns: Array, signs: Vector, far: float) -> float:
 
 
 def width_of(forms: Array, turns: Array, signs: Vector, far: float) -> float:
-    """Return how far apart some of the linear forms may be, forms z, at z with signs + turns z >= 0 and |z| <= far.
+    """Return the largest range of the linear forms, forms z, over z with signs + turns z >= 0 and |z| <= far.
 
-    Infinite where that is not found out.
+    It is infinite if the linear program fails.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""MKL through the library that pypardiso brings: PARDISO's Cholesky factors that leave the Schur complement behind.
+"""Call MKL by the library of pypardiso: PARDISO's Cholesky factors with a Schur complement, and sparse products.
 
 With `perm` = 1 at the retained unknowns and iparm(36) = 1 the factorisation stops before them and returns the dense S;
 phase 331 is then the forward elimination of a load, whose retained entries are f_S, and phase 333 the backward
@@ -32,29 +32,29 @@ NOT_POSITIVE = -4
 DEFAULTS_OVERRIDDEN, ORDERING, PERMUTATION, PERTURBATION, ZERO_BASED, SCHUR, KEEP_DIAGONAL = 0, 1, 4, 9, 34, 35, 55
 MINIMUM_DEGREE, NESTED_DISSECTION, SCHUR_ONLY = 0, 2, 1
 STATED_ORDER, ORDER_RETURNED = 1, 2
-# What the analysis tells, in kibibytes: its own peak, what of it stays, and what factors and solutions will take.
+# Memory reported by the analysis [kibibytes]: its peak, its permanent part, and that of factors and solutions.
 PEAK_OF_ANALYSIS, STAYS, OF_FACTORS = 14, 15, 16
-# Where the analysis tells how many entries the factors have, if it is asked by a negative number.
+# The place where the analysis reports the entries of the factors, if it holds a negative number before.
 ENTRIES, ASKED = 17, -1
-# Factors that are predicted to take more than this part of the memory that is free are not begun.
+# Factors are refused if they are predicted to exceed this part of the free memory.
 MOST_OF_MEMORY = 0.95
-# Of an unsymmetric one: rows and columns are scaled and matched, so that large entries come onto the diagonal.
+# Unsymmetric matrices are scaled and matched, which moves large entries to the diagonal.
 SCALING, MATCHING = 10, 12
-# The variable by which people state to pypardiso where the library is.
+# The environment variable of pypardiso with the path of the library.
 STATED = "PYPARDISO_MKL_RT"
 # Pivots of an indefinite matrix beneath 10^-13 of it are raised to that.
 LEAST_PIVOT = 13
-# Of plane meshes, with so many entries in a row on average, and at most, minimum degree finds an order of up to so many
-# unknowns in half the time of nested dissection and fills no more; beyond, and in space, its factors take longer, and
-# on saddle points of programs it may take minutes.
+# Plane meshes are recognised by their average and largest number of entries per row. Up to this number of unknowns
+# minimum degree orders them in half the time of nested dissection without more fill-in; for larger ones, and in space,
+# its factors are slower, and for saddle points of programs it may take minutes.
 OF_PLANES, LONGEST_ROW, OF_FEW_UNKNOWNS = 25, 50, 100_000
-# Factors in a stated order that have so many times the entries of those that it was found for, row by row, fill in.
+# The allowed growth of entries per row of factors in a given order, relative to those for which it was found.
 FILLS_IN = 1.5
-# Products of matrices with fewer entries end before other threads have begun.
+# Products of smaller matrices are not worth starting threads.
 MANY_ENTRIES = 500_000
 # In MKL's sparse products: the matrix itself and not its transpose, of no special kind, its blocks by rows.
 NOT_TRANSPOSED, GENERAL, BLOCKS_BY_ROWS = 10, 20, 101
-# Matrices with the same entries whose factors one analysis serves, and the phase that gives back those of one of them.
+# The number of matrices with the same pattern per analysis, and the phase that releases the factors of one.
 OF_ONE_ANALYSIS, RELEASE_ONE = 2, 0
 
 
@@ -63,20 +63,20 @@ class NotPositive(Exception):
 
 
 class FillsIn(Exception):
-    """In the order that was stated the factors would have more entries than was allowed; nothing was factorised."""
+    """In the given order the factors would have too many entries; nothing was factorised."""
 
 
 class TooLarge(BackendFailed):
-    """The factors are predicted not to fit into the memory that is free; nothing was begun."""
+    """The factors are predicted not to fit into the free memory; nothing was factorised."""
 
 
-# The variable of the environment that chooses the sparse solver; the fastest by default. With "pyamg" nothing is
-# eliminated (`iteration`), unless a caller asks for it.
+# The environment variable that chooses the sparse solver, by default the fastest. "pyamg" selects the iteration, unless
+# a caller needs factors.
 CHOICE = "CONTACTQP_SPARSE_SOLVER"
 
 
 def available() -> bool:
-    """Return whether PARDISO is installed and not switched off by `CHOICE`; nothing is loaded to find out."""
+    """Return whether PARDISO is installed and not switched off by `CHOICE`, without loading it."""
     return os.environ.get(CHOICE, "") != "superlu" and importlib.util.find_spec("pypardiso") is not None
 
 
@@ -84,7 +84,7 @@ def available() -> bool:
 def _library() -> Any:
     if importlib.util.find_spec("pypardiso") is None:
         raise BackendMissing("pardiso: pypardiso is not installed: pip install pypardiso")
-    # Its threads would wait for more work by spinning, which slows down whatever runs between two calls.
+    # Its threads would otherwise wait by spinning and slow down other work between calls.
     os.environ.setdefault("KMP_BLOCKTIME", "0")
     path = None if os.environ.get(STATED) else _installed()
     if path is not None:
@@ -97,7 +97,7 @@ def _library() -> Any:
 def _installed() -> str | None:
     """Return the library where the package mkl has installed it (Linux and macOS), or None.
 
-    pypardiso goes through every folder of the environment for it, which takes a second and more where these are many.
+    pypardiso searches all folders of the environment, which may take seconds.
     """
     from importlib.metadata import PackageNotFoundError, files
 
@@ -126,11 +126,11 @@ class Pardiso:
     NotPositive
         A pivot is zero or negative: the matrix without the retained unknowns is singular or indefinite.
     FillsIn
-        In the order that was stated the factors would have more entries than they may.
+        In the given order the factors would have too many entries.
     TooLarge
         The factors are predicted to need more memory than is free.
     BackendMissing, BackendFailed
-        There is no PARDISO, or it gave up.
+        PARDISO is not installed, or failed.
     """
 
     def __init__(
@@ -172,9 +172,9 @@ class Pardiso:
         self._factorise()
 
     def beside(self, matrix: Any) -> Pardiso | None:
-        """Return the factors of another matrix with the same entries, by the analysis of this one.
+        """Return the factors of another matrix with the same pattern, by the analysis of this one.
 
-        None where it has other entries, or where other factors are beside these already.
+        None if the pattern differs, or if the analysis already serves a second matrix.
 
         Raises
         ------
@@ -199,12 +199,12 @@ class Pardiso:
 
     @property
     def order(self) -> Indices:
-        """Return the unknowns (n,) in the order in which they were eliminated, where none is retained."""
+        """Return the order of elimination of the unknowns (n,), if none is retained."""
         return self._analysis.chosen.astype(np.intp)
 
     @property
     def entries_of_factors(self) -> int:
-        """Return the number of entries of the factors by the analysis, whose predicted memory grows with threads."""
+        """Return the number of entries of the factors predicted by the analysis."""
         return int(self._analysis.settings[ENTRIES])
 
     @property
@@ -214,7 +214,7 @@ class Pardiso:
         return 1024 * max(int(told[PEAK_OF_ANALYSIS]), int(told[STAYS]) + int(told[OF_FACTORS]))
 
     def _refuse_too_large(self, retained: int) -> None:
-        """Raise TooLarge rather than be ended by the system in the middle of a factorisation."""
+        """Raise TooLarge before the system would end the process for lack of memory."""
         needed, free = self.predicted_memory + 8 * retained**2, free_memory()
         if free is not None and needed > MOST_OF_MEMORY * free:
             raise TooLarge(
@@ -243,7 +243,7 @@ class Pardiso:
         self._analysis.call(phase, self._number, self._values, right, solution)
 
     def _smallest_pivot(self) -> float:
-        """Return the least pivot over its diagonal entry: that of the matrix with a diagonal of ones."""
+        """Return the least ratio of a pivot to its diagonal entry, the pivot of the matrix with unit diagonal."""
         pivots, before, error = np.zeros(self.size), np.zeros(self.size), ctypes.c_int32(0)
         _library().pardiso_getdiag(
             *(_pointer(self._analysis.handle), _pointer(pivots), _pointer(before)),
@@ -256,7 +256,7 @@ class Pardiso:
 
 
 class _Analysis:
-    """What PARDISO keeps of the entries of a matrix, and the factors of up to two matrices that have these entries.
+    """PARDISO's analysis of a pattern, and the factors of up to two matrices with it.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class _Analysis:
     handle, settings : (64,) arrays of int, PARDISO's pt and iparm
     chosen : (n,) array of int, its perm
     second : callable, optional
-        What gives the factors of a second matrix back; None where there are none.
+        The function that releases the factors of a second matrix, None if there are none.
     """
 
     def __init__(self, entries: Any, kind: int, settings: NDArray[np.int32], chosen: NDArray[np.int32]) -> None:
@@ -275,7 +275,7 @@ class _Analysis:
         self._release = weakref.finalize(self, _release, self.handle, settings, kind)
 
     def is_of(self, entries: Any) -> bool:
-        """Return whether a matrix has the entries that were analysed."""
+        """Return whether a matrix has the analysed pattern."""
         return np.array_equal(entries.indptr, self._starts) and np.array_equal(entries.indices, self._columns)
 
     def call(self, phase: int, number: int, values: Array, right: Array, solution: Array) -> None:
@@ -305,25 +305,25 @@ class _Analysis:
             raise BackendFailed(f"pardiso: error {error.value} in phase {phase}")
 
     def release_second(self) -> None:
-        """Give the memory of the second matrix's factors back, which makes place for others."""
+        """Release the factors of the second matrix."""
         nothing, self.second = np.zeros(1), None
         self.call(RELEASE_ONE, OF_ONE_ANALYSIS, nothing, nothing, nothing)
 
 
 class EliminationOrder:
-    """The order in which the unknowns of a stiffness are eliminated, alone and in its saddle points; found once.
+    """The order of elimination of the unknowns of a stiffness and its saddle points, found once.
 
-    To find it takes most of the time of a factorisation in the plane. Rows below the stiffness, those of contacts and
-    ties, come after the last of their unknowns: pivots are positive up to there and negative then, and the small
-    number on the diagonal of a row never is one, as it may be in an order that is found for the saddle point.
+    Finding it takes most of the time of a factorisation in the plane. Rows of contacts and ties are eliminated after
+    the last of their unknowns, so that pivots of unknowns are positive, those of rows negative, and the small diagonal
+    of a row is never a pivot, as it could be in an order for the saddle point.
     """
 
     def __init__(self, unknowns: int) -> None:
-        self._place = np.full(unknowns, np.nan)  # of each unknown in the order, NaN where that is not known
-        self._entries = 0.0  # of the factors that it was found for, for each row of a symmetric one
+        self._place = np.full(unknowns, np.nan)  # rank of each unknown, NaN if unknown
+        self._entries = 0.0  # entries per row of the factors that it was found for
         self._of_saddle = False  # whether it was found with rows below the stiffness
-        self.wide = False  # whether the last matrix was found to be no narrow band
-        self.band: Any = None  # the order of the last that was one (`schur.Band`)
+        self.wide = False  # whether the last matrix was no narrow band
+        self.band: Any = None  # the last band (`schur.Band`)
 
     def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:
         """Return the factors of a matrix whose first rows are those of these unknowns of the stiffness.
@@ -347,10 +347,10 @@ class EliminationOrder:
         return found
 
     def _known(self, matrix: Any, unknowns: Indices) -> Indices | None:
-        """Return the order in which rows are eliminated, where that of the unknowns is known; else None."""
+        """Return the order of elimination if that of the unknowns is known, else None."""
         place = self._place[unknowns]
         if np.any(np.isnan(place)) or (self._of_saddle and matrix.shape[0] == len(unknowns)):
-            return None  # bodies that ties join are cut in other places than bodies one by one
+            return None  # bodies joined by ties are dissected differently
         by_rows, first = matrix if matrix.format == "csr" else matrix.T, len(unknowns)
         entries = sp.csr_array(by_rows[first:, :first])
         last = np.full(entries.shape[0], np.inf)
@@ -367,7 +367,7 @@ def _in_the_plane(matrix: Any) -> bool:
 
 
 def elimination_order(problem: ContactProblem) -> EliminationOrder:
-    """Return the order of the unknowns of a problem's stiffness, shared by its equilibrated twin."""
+    """Return the order of elimination of a problem's stiffness, shared with its equilibrated twin."""
     of_stiffness = problem._computed.of_stiffness
     if of_stiffness.elimination_order is None:
         of_stiffness.elimination_order = EliminationOrder(problem.dimension)
@@ -380,14 +380,14 @@ def _pointer(array: Any) -> ctypes.c_void_p:
 
 
 def _entries_of(matrix: Any, kind: int) -> Any:
-    """Return the entries of a matrix that PARDISO takes, by rows and in the order of their columns."""
+    """Return the entries of a matrix in PARDISO's form, by rows with ascending columns."""
     entries = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
     entries.sort_indices()
     return entries
 
 
 def upper_triangle(matrix: Any) -> Any:
-    """Return the entries of a symmetric matrix on its diagonal and right of it, by rows."""
+    """Return the upper triangle of a symmetric matrix by rows."""
     by_rows = sp.csr_array(matrix.T if matrix.format == "csc" else matrix)
     rows = np.repeat(np.arange(by_rows.shape[0]), np.diff(by_rows.indptr))
     right = by_rows.indices >= rows
@@ -408,15 +408,15 @@ def _release(handle: Any, settings: Any, matrix_kind: int) -> None:
 
 
 class _Description(ctypes.Structure):
-    """MKL's matrix_descr: kind, and triangle and diagonal where the matrix has one of its own."""
+    """MKL's matrix_descr: kind, triangle and diagonal."""
 
     _fields_ = (("kind", ctypes.c_int), ("triangle", ctypes.c_int), ("diagonal", ctypes.c_int))
 
 
 class _Products:
-    """y = A x by MKL's threads, from the arrays of a square matrix itself, which must not change meanwhile.
+    """y = A x on MKL's threads, from the arrays of a square matrix, which must not change.
 
-    A row is summed by one thread, in the order of its entries: the result does not depend on the number of threads.
+    A row is summed by one thread in the order of its entries, so the result does not depend on the number of threads.
 
     Raises BackendFailed: MKL does not take the matrix.
     """

@@ -1,8 +1,8 @@
-"""Exact linear algebra of large matrices by python-flint: systems, null spaces, ranks and definiteness, all proven.
+"""Exact linear algebra of large matrices by python-flint: systems, null spaces, ranks and definiteness.
 
-Which rows and columns are independent is read off modulo a prime, where it costs next to nothing; the system of these
-is then solved over the rationals (Dixon's lifting where it is large), and what it leaves out is checked over the
-rationals. An unlucky prime is found out by that check.
+Independent rows and columns are found modulo a prime, which is cheap; their system is then solved over the rationals
+(by Dixon's lifting if it is large), and the other rows are checked over the rationals, which also reveals an unlucky
+prime.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ try:
 except ImportError:
     raise BackendMissing("exact answers need python-flint: pip install python-flint") from None
 
-# Motions whose energy is below this, K scaled to a diagonal near one, are looked at exactly, if there are so few.
+# Motions with energy below this, K scaled to a diagonal near one, are examined exactly, up to this number of them.
 SOFT, MOST_SOFT = 1e-8, 40
 PRIMES = (2**61 - 1, 2**62 - 57, 2**63 - 25, 2**64 - 59)
 
@@ -31,11 +31,11 @@ class NoSolution(Exception):
 
 
 class Undecided(Exception):
-    """No truth was found within the limit of pivots."""
+    """No exact answer was found within the limit of pivots."""
 
 
 def rational(x: float) -> fmpq:
-    """Return a float as the rational number that it is."""
+    """Return a float as an exact rational number."""
     return fmpq(*float(x).as_integer_ratio())
 
 
@@ -48,7 +48,7 @@ def fraction(x: fmpq) -> Fraction:
 
 
 def matrix(values: Any) -> fmpq_mat:
-    """Return a dense or sparse matrix of floats as a matrix of the rational numbers that they are."""
+    """Return a dense or sparse matrix of floats as an exact rational matrix."""
     dense = np.atleast_2d(values.toarray() if hasattr(values, "toarray") else np.asarray(values, dtype=float))
     rows, columns = dense.shape
     return fmpq_mat(rows, columns, [rational(x) if x else fmpq(0) for x in dense.ravel().tolist()])
@@ -129,7 +129,7 @@ def pivot_columns(reduced: Any) -> list[int]:
 
 
 def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
-    """Return as many independent columns as there are modulo the prime; over the rationals they are so, too."""
+    """Return a maximal set of columns independent modulo the prime, which are also independent over the rationals."""
     if not a.nrows() or not a.ncols():
         return []
     integers, _ = a.numer_denom()
@@ -138,7 +138,7 @@ def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
 
 
 def independent_rows(a: fmpq_mat) -> list[int]:
-    """Return a basis of the rows, which `null_space` proves to be one where it leaves any out."""
+    """Return a basis of the rows, verified by `null_space` if it leaves any out."""
     for prime in PRIMES:
         rows = independent_columns(a.transpose(), prime)
         if len(rows) == a.nrows() or null_space(a.transpose()).ncols() == a.nrows() - len(rows):
@@ -168,7 +168,7 @@ def null_space(a: fmpq_mat) -> fmpq_mat:
 
 
 def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
-    """Return a solution of a x = right (columns) and whether it is the only one; None if there is provably none."""
+    """Return a solution of a x = right (columns) and whether it is unique; None if there is none."""
     n = a.ncols()
     for prime in PRIMES:
         rows, leading = _profile(a, prime)
@@ -190,14 +190,14 @@ def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
 
 
 def _profile(a: fmpq_mat, prime: int) -> tuple[list[int], list[int]]:
-    """Return rows and columns of a regular part of the rank that the matrix has modulo the prime."""
+    """Return rows and columns of a regular submatrix of the rank modulo the prime."""
     leading = independent_columns(a, prime)
     rows = independent_columns(take_columns(a, leading).transpose(), prime) if leading else []
     return rows, leading
 
 
 def _combined(a: fmpq_mat, rows: Sequence[int], leading: Sequence[int], core: fmpq_mat) -> bool:
-    """Return whether all rows are combinations of those, so that an equation that they do not meet contradicts them."""
+    """Return whether all rows are combinations of `rows`, so that an unsatisfied equation contradicts them."""
     known = set(rows)
     others = take(a, [i for i in range(a.nrows()) if i not in known])
     if not rows:
@@ -222,9 +222,9 @@ def sum_of_products(one: Sequence[Any], other: Sequence[Any]) -> Any:
 def is_semidefinite(K: fmpq_mat) -> bool:
     """Return whether z'Kz >= 0 for all z, exactly.
 
-    K has the rank of its rows and columns J, and is then semidefinite where K_JJ is definite. That a floating-point
-    Cholesky factorisation of K_JJ - s I exists proves it (Rump 2006, BIT 46, 433), s being what rounding may have
-    added; where it does not, the motions of next to no energy decide, or at last the leading minors.
+    K has the rank of its rows and columns J, and is then semidefinite if K_JJ is definite. This is proven by a
+    floating-point Cholesky factorisation of K_JJ - s I with s a bound of its rounding (Rump 2006, BIT 46, 433); if that
+    fails, the motions of negligible energy decide, or at last the leading minors.
     """
     n = K.nrows()
     kept = next(
@@ -246,7 +246,7 @@ def is_semidefinite(K: fmpq_mat) -> bool:
 
 
 def _scaled(K: fmpq_mat) -> tuple[Array, Array] | None:
-    """Return D K D in doubles and D (n,), powers of two that bring its diagonal near one; None beyond doubles."""
+    """Return D K D in doubles and D (n,), powers of two that bring its diagonal near one; None if it overflows."""
     try:
         doubles = np.array([number(x) for x in K.entries()]).reshape(K.nrows(), K.ncols())
     except OverflowError:
@@ -271,10 +271,10 @@ def _cholesky_proves(doubles: Array, least: float = 0.0) -> bool:
 
 
 def _soft_motions_decide(K: fmpq_mat, doubles: Array, scale: Array) -> bool | None:
-    """Return whether a regular K is definite, by its motions Z of next to no energy; None where they do not decide.
+    """Return whether a regular K is definite, by its motions Z of negligible energy; None if undecided.
 
-    Z'KZ says that it is not where it is not so itself. Else Z and the unknowns i but those that hold Z are a basis, in
-    which K is definite where K_ii > t I, by a factorisation, and Z'KZ - (K_i Z)'(K_i Z)/t is, exactly.
+    If Z'KZ is not definite, neither is K. Else Z and the unknowns i, without those that fix Z, are a basis in which K
+    is definite if K_ii > t I, by a factorisation, and Z'KZ - (K_i Z)'(K_i Z)/t is definite, exactly.
     """
     from scipy.linalg import qr
 

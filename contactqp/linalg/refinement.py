@@ -1,4 +1,4 @@
-"""From a set of closed contacts to the answer on it, refined until rounding is gone.
+"""Compute the answer for a set of closed contacts, refined to the last digits, and correct the set.
 
 The condensed saddle-point system acts as an approximate inverse; residuals are formed on the full problem in extended
 precision and corrections added in extended precision (mixed-precision refinement; Higham 2002, chapter 12), so the
@@ -30,24 +30,24 @@ from contactqp.model.solution import Answer
 
 # Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12
-# Forces of this part of the largest are what refinement leaves of zero.
+# Forces below this part of the largest are rounding errors of refinement.
 INVISIBLE = 1e-22
-# No solve in double precision leaves less of a correction.
+# The least contraction of a solve in double precision.
 LEAST_CONTRACTION = EPS
-# Corrections of this part of the answer are rounding of twice double precision, and measure no contraction.
+# Corrections below this part of the answer are rounding of twice double precision and do not measure contraction.
 ROUNDED_AWAY = 2.0**-90
-# Corrections in other directions than the one that the contraction was measured in may contract so much less.
+# Corrections in other directions may contract less than measured by this factor.
 CAUTION = 1e4
-# What the next correction would be, as a part of the whole, when refinement stops: far below what doubles hold.
+# The relative size of the next correction at which refinement stops, far below the precision of doubles.
 NEGLIGIBLE = 1e-22
-# Displacements below this part of the forces, both in the root of energy, are refined by themselves.
+# Displacements below this part of the forces, both in the root of energy, are refined separately.
 SMALL = 1e-3
 
-# A resultant is carried without tension if contacts pushing alone miss no more of it than this; a share of this part of
-# the resultant is none.
+# A resultant is carried without tension if nonnegative forces leave a residual of at most this part, and forces below
+# this part of it count as zero.
 CARRIED, NO_SHARE = 1e-9, 1e-12
-# A shift of this part of the displacement is made as it is: K's rounding along a rigid motion makes 1e-27 of |K||u| of
-# it, which no refinement would see.
+# A shift below this part of the displacement needs no refinement, as rounding of K along a rigid motion makes it 1e-27
+# of |K||u|.
 SLIGHT = 2**10 * EPS
 
 
@@ -60,10 +60,10 @@ class OnSet(ExtendedAnswer):
     lengths: Vector  # (m,) that meet at the contacts
     doubles: Answer  # the answer in double precision
     saddle: SaddlePoint
-    contraction: float  # of the refinement: the part of a correction that its successor still finds missing
-    remainder: float  # what further refinement would change, the largest entry in the square root of energy
-    nothing: Vector  # (m + k,) lengths of contacts and ties beneath which refinement leaves no more than noise
-    cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions made before it was cleared
+    contraction: float  # ratio of successive corrections in refinement
+    remainder: float  # the largest change by further refinement [square root of energy]
+    nothing: Vector  # (m + k,) lengths of contacts and ties below which gaps are rounding
+    cleared: float = 0.0  # relative forces by rounding of K along rigid motions
 
     @property
     def rounding_of_gaps(self) -> Vector:
@@ -82,8 +82,8 @@ def answer_on(
 ) -> OnSet:
     """Solve K u + E_B'l_B + A'nu = f, E_B u = g_B, A u = b on the closed contacts B, by refinement.
 
-    K is taken as it is stated unless its rounding along rigid motions spoils the resultants of the forces, or any force
-    where these motions are stated: then it is taken to be zero along them.
+    K is used as stated unless its rounding along rigid motions spoils the balance of forces, or any force if these
+    motions are stated; then K is set to zero along them.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def answer_on(
 
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:
-    """Return the relative imbalance of the outer forces on rigid motions, forces that are noise left out."""
+    """Return the relative imbalance of the outer forces on rigid motions, without forces of rounding size."""
     missed = imbalance(problem, found.doubles, condensation.rigid)
     if missed <= BALANCED:
         return missed
@@ -116,10 +116,7 @@ def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet
 
 
 def _forces_beyond_noise(condensation: Condensation, found: OnSet) -> tuple[Vector, Vector]:
-    """Return contact and tie forces in doubles, set to zero where they are the rounding that refinement leaves.
-
-    On a body that nothing else loads such noise would be all that drives it.
-    """
+    """Return contact and tie forces in doubles, with zeros for rounding errors, which would drive an unloaded body."""
     compliance = condensation.delassus.compliance
     push, tie = found.doubles.normal_force, found.doubles.tie_force
     force = np.concatenate([push, tie])
@@ -137,7 +134,7 @@ def _refined(
     at_rest: bool,
     cleared: bool = False,
 ) -> OnSet:
-    """Run `answer_on` with K as it is stated, or `cleared` of its rounding along rigid motions."""
+    """Run `answer_on` with K as stated, or `cleared` of its rounding along rigid motions."""
     size_of = _CorrectionSize(problem, condensation, closed)
     saddle = saddle_point(condensation, closed)
     answer, residual = _start(problem, closed, start, residual)
@@ -189,7 +186,7 @@ def _refined(
 def _start(
     problem: ContactProblem, closed: Indices, start: Answer | None, residual: Residuals | None
 ) -> tuple[ExtendedAnswer, Residuals | None]:
-    """Return a start without forces on open contacts, at rest where none is given, and its residuals if known."""
+    """Return a start without forces on open contacts, by default at rest, and its residuals if known."""
     if start is None:
         return ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
     kept = np.zeros(problem.contacts, dtype=bool)
@@ -200,7 +197,7 @@ def _start(
 
 
 class _CorrectionSize:
-    """The size of a correction of displacement and forces: the largest, each in the square root of energy."""
+    """The size of a correction, the largest change of displacement or force in the square root of energy."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: Indices) -> None:
         self.row_sizes = np.sqrt(condensation.delassus.compliance)  # (m + k,) of a unit force in the root of energy
@@ -210,7 +207,8 @@ class _CorrectionSize:
         if problem.ties:
             self._row = np.concatenate([self._row, self.row_sizes[problem.contacts :]])
             own = np.concatenate([own, np.sqrt(own_compliance(problem, problem.tie))])
-        # A force is found to a rounding of what its own unknowns would feel: much, where they give way together.
+        # The error of a force is relative to the stiffness of its own unknowns, which is large where they move
+        # together.
         together = np.divide(self._row, own, out=np.ones_like(own), where=own > 0)
         self.least_contraction = LEAST_CONTRACTION * float(together.max(initial=1.0))
 
@@ -222,10 +220,11 @@ class _CorrectionSize:
         return float((self._unknown * abs(du)).max(initial=0.0))
 
     def is_negligible(self, size: float, answer: tuple[Vector, Vector, Vector], whole: float) -> bool:
-        """Return whether a correction is far below the rounding of doubles of size `whole`, or that of two doubles.
+        """Return whether a correction is far below the rounding of doubles of size `whole`, or of twice double
+        precision.
 
-        The rigid part of a displacement strains nothing and counts for the latter alone. A displacement that is small
-        beside forces, as they act past weak springs, decides on gaps on which these do work: there it counts as much.
+        The rigid part of a displacement counts only for the latter. A displacement that is small compared with forces,
+        as with weak springs, determines gaps on which these do work, so it is weighted accordingly.
         """
         if not FINE_EPS * whole < size <= NEGLIGIBLE * whole:
             return size <= FINE_EPS * whole
@@ -239,7 +238,7 @@ class _CorrectionSize:
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> Indices:
-    """Return the contacts that an answer holds closed, W_ii l_i > gap_i, both lengths.
+    """Return the contacts that an answer closes, those with W_ii l_i > gap_i, both lengths.
 
     Parameters
     ----------
@@ -263,11 +262,10 @@ def polish(
 ) -> tuple[OnSet, int, bool]:
     """Refine the answer on a set of closed contacts and correct the set.
 
-    A correction opens the contacts held in tension and closes those that are penetrated. In a redundant set, a contact
-    that depends on others and is penetrated takes the place of one of them, which is no correction beyond the allowed;
-    then the forces are chosen without tension, where such forces exist, and contacts with none leave the set. A set
-    that holds to rounding of doubles is corrected by the signs in extended precision, as long as that leads to one that
-    holds too.
+    A correction opens contacts in tension and closes penetrated ones. In a redundant set, a penetrated dependent
+    contact replaces another one, which does not count as a correction; then forces without tension are chosen if they
+    exist, and contacts with zero force leave the set. A set that holds to rounding of doubles is corrected by signs in
+    extended precision, as long as the result also holds.
 
     Parameters
     ----------
@@ -329,9 +327,10 @@ def _ties_are_met(problem: ContactProblem, answer: OnSet) -> bool:
 
 
 def _exchanged(answer: OnSet) -> Indices | None:
-    """Return the redundant set in which the most penetrated dependent contact replaces the one that must open for it.
+    """Return the redundant set in which the most penetrated dependent contact replaces another one.
 
-    None if no dependent contact is penetrated. If none can give way, the set is returned as it is: its rows conflict.
+    None if no dependent contact is penetrated. If none can be replaced, the set is returned unchanged, as its rows
+    conflict.
     """
     closed = answer.saddle.closed
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
@@ -343,15 +342,15 @@ def _exchanged(answer: OnSet) -> Indices | None:
 
 
 def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[Indices, Indices]:
-    """Return the contacts that must open, in tension or apart though they push, and those that penetrate.
+    """Return the contacts that must open, in tension or with a gap in spite of a force, and the penetrated ones.
 
-    Those that the answer holds closed are not penetrated; of a set that moves freely it holds those alone that push.
+    Closed contacts count as not penetrated; in a set with free motions only those with a force.
     """
     gap, push = answer.gaps, answer.doubles.normal_force
     rounding = answer.rounding_of_gaps
     penetrated = -gap > rounding
     penetrated[answer.saddle.closed] = False
-    # A contact that depends on others closes by itself or not at all, whatever force it was given.
+    # A dependent contact is closed by the others, whatever its force.
     opening = (gap > rounding) & (push > 0)
     if (push < 0).any():
         opening |= _push(problem, answer.doubles) < -WITHIN_ROUNDING
@@ -359,16 +358,15 @@ def _wrong(problem: ContactProblem, answer: OnSet) -> tuple[Indices, Indices]:
 
 
 def _regular(answer: OnSet) -> bool:
-    """Return whether the rows of a set are independent, and not nearly dependent."""
+    """Return whether the rows of a set are clearly independent."""
     return not answer.saddle.redundant and answer.contraction * CAUTION <= 1
 
 
 def _decided(problem: ContactProblem, condensation: Condensation, answer: OnSet, closed: Indices) -> Indices | None:
-    """Return the set that signs in extended precision ask for, of gaps and forces that doubles cannot tell from zero.
+    """Return the set by the signs, in extended precision, of gaps and forces that are zero in doubles.
 
-    None where a set is redundant or nearly so, or where bodies float: there the rounding of the data decides.
-
-    What refinement may have left undecided is refined further.
+    None if a set is nearly redundant or bodies float, as rounding of the data decides there. Undecided signs are
+    refined further.
     """
     if condensation.rigid.count or not _regular(answer):
         return None
@@ -388,13 +386,13 @@ def _decided(problem: ContactProblem, condensation: Condensation, answer: OnSet,
 
 
 def _reached_by_drive(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> tuple[Indices, bool]:
-    """Return the contacts first reached by a free motion that the load drives, and whether there is such a motion."""
+    """Return the contacts first reached by a free motion driven by the load, and whether there is such a motion."""
     if not answer.saddle.free.shape[1]:
         return np.zeros(0, dtype=np.intp), False
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)
     drive = answer.saddle.drive(_net(condensation, load, answer.doubles.normal_force, answer.doubles.tie_force), size)
-    if drive.any():  # unless noise alone drives it
+    if drive.any():  # unless driven by rounding only
         drive = answer.saddle.drive(_net(condensation, load, *_forces_beyond_noise(condensation, answer)), size)
     if not drive.any():
         return np.zeros(0, dtype=np.intp), False
@@ -407,18 +405,17 @@ def _reached_by_drive(problem: ContactProblem, condensation: Condensation, answe
 
 
 def _net(condensation: Condensation, load: Vector, push: Vector, tie: Vector) -> Vector:
-    """Return a condensed load (p,) less what contacts and ties carry of it.
+    """Return a condensed load (p,) less the forces of contacts and ties.
 
-    These do no work on a free motion, but for the rounding of it: a soft body's motion sideways lifts it by a rounding,
-    and what lies on it, be it ever so stiff.
+    These forces do no work on a free motion except by its rounding errors.
     """
     return np.asarray(load - condensation.normal.T @ push - condensation.tie.T @ tie)
 
 
 def _without_tension(condensation: Condensation, answer: OnSet) -> Indices:
-    """Return the members of a redundant set that carry its resultant without tension, or all where none can.
+    """Return the members of a redundant set that carry its resultant without tension, or all if impossible.
 
-    Those that the answer leaves apart are not asked.
+    Contacts with a gap are excluded.
     """
     closed, ties = answer.saddle.closed, condensation.tie * condensation.scale
     contacts = condensation.normal[closed] * condensation.scale
@@ -434,7 +431,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> Indices:
 
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> Answer:
-    """Return an answer on a set in double precision, with zeros beneath the rounding of the refinement."""
+    """Return the answer on a set in double precision, with rounding errors of the refinement set to zero."""
     u, tie = answer.doubles.displacement, answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
@@ -450,7 +447,7 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
 def least_displacement(
     problem: ContactProblem, condensation: Condensation, answer: OnSet, caution: float = 1.0
 ) -> tuple[OnSet, Array]:
-    """Move an answer to its least norm along the motions that nothing drives and nothing resists.
+    """Return the answer of least norm along the motions that nothing drives or resists.
 
     Parameters
     ----------
@@ -480,7 +477,7 @@ def least_displacement(
         lengths = lengths_that_meet(problem, problem.normal, problem.gap, doubles.displacement)
         double = dict(gaps=gap.double(), doubles=doubles, lengths=lengths)
         return replace(answer, displacement=closer, gap=gap, **double), free
-    # The shift is rigid to double precision only: refine again from where it leads.
+    # The shift is rigid to double precision only, so the result is refined again.
     moved = replace(clean, displacement=clean.displacement + shift)
     return answer_on(problem, condensation, pushing, moved, caution=caution), free
 

@@ -1,7 +1,7 @@
-"""What solves a problem: SciPy, imported when it is needed, cores, free memory, and engines outside of this process.
+"""The resources of a solve: late import of SciPy, cores, free memory, and engines outside of this process.
 
-An engine is found by its name in a table, and its functions are imported when they are asked for: nothing below it
-knows the module that they are in.
+An engine is found by name in a table, and its functions are imported when needed, so that lower layers do not depend on
+its module.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from contactqp.model.arrays import renew_in_child
 
 
 def _renew_cached_properties() -> None:
-    """Give the cached properties of the package new locks: one lock serves all instances of a class."""
+    """Give the cached properties of the package new locks, each of which serves all instances of a class."""
     modules = [module for name, module in tuple(sys.modules.items()) if name.partition(".")[0] == "contactqp"]
     kinds = {kind for module in modules for kind in vars(module).values() if isinstance(kind, type)}
     for kind in kinds:
@@ -32,21 +32,20 @@ def _renew_cached_properties() -> None:
                 attribute.lock = threading.RLock()
 
 
-if sys.version_info < (3, 12):  # from 3.12 on they have no lock
+if sys.version_info < (3, 12):  # from Python 3.12 on there are no locks
     renew_in_child(_renew_cached_properties)
 
 
-# How the name ends of the modules where SciPy keeps copies of NumPy's names.
+# The last part of the name of SciPy's modules with copies of NumPy's names.
 _COPY = "array_api_compat.numpy"
 
 
 def import_scipy() -> None:
-    """Import SciPy's sparse matrices without the parts of NumPy that are loaded for nothing beside them.
+    """Import SciPy's sparse matrices without unneeded parts of NumPy.
 
-    SciPy copies all names of NumPy, and by asking for each it loads a parser of Fortran, tools of tests and others that
-    NumPy leaves until they are used: 60 ms, a tenth of a small command. Here the copy gets those later, when it is
-    asked for them. It is meant for a process of our own, such as that of a command, and does nothing where SciPy has
-    been imported already.
+    SciPy copies all names of NumPy, which loads a parser of Fortran, test tools and other lazy parts in 60 ms, a tenth
+    of a small command. Here these are copied on first access. It is meant for a process of our own, such as that of a
+    command, and does nothing if SciPy has been imported.
     """
     if any(name.endswith(_COPY) for name in sys.modules) or not hasattr(np, "__getattr__"):
         return
@@ -65,19 +64,19 @@ def import_scipy() -> None:
 
 @cache
 def lapack() -> Any:
-    """Return SciPy's LAPACK, which is imported when the first system is solved."""
+    """Return SciPy's LAPACK, imported on first use."""
     from scipy.linalg import lapack as found
 
     return found
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# Where a control group limits memory: the folder, the limit, what is held, and the name of what of it are cached files,
-# which are given back when asked for; versions 2 and 1.
+# Files of memory limits of control groups (versions 2 and 1): the folder, the limit, the usage, and the name of the
+# reclaimable file cache in it.
 _GROUPS = (
     ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
     ("/sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
@@ -85,9 +84,9 @@ _GROUPS = (
 
 
 def free_memory() -> int | None:
-    """Return the bytes of memory that may still be taken without swapping, within the limits of process and group.
+    """Return the bytes of memory available without swapping, within the limits of process and group.
 
-    None where the system does not say.
+    None if the system does not report it.
     """
     limits = (_available(), *(_left_of(*group) for group in _GROUPS), _left_of_address_space())
     return min((left for left in limits if left is not None), default=None)
@@ -132,7 +131,7 @@ class Engine:
     """A solver outside of this process; each of its functions is named as ``module:function``."""
 
     solve: str  # (problem, method, *, warm_start, **options) -> Solution
-    build: str  # (scene) -> a model that answers what `contactqp.scene.body_model.BodyModel` does
+    build: str  # (scene) -> a model with the methods of `contactqp.scene.body_model.BodyModel`
     run: str  # (model, method, checkpoint, **options) -> History
     answer_at: str  # (model, pseudo-time of a load path, method, **options) -> its solution
 

@@ -1,4 +1,4 @@
-"""Elimination of the interior unknowns of a stiffness: what condensation factorises.
+"""Eliminate the interior unknowns of a stiffness by a sparse factorisation, as condensation needs.
 
 With the interior unknowns i and the retained unknowns c,
 
@@ -6,8 +6,8 @@ With the interior unknowns i and the retained unknowns c,
 
 There are four ways with one interface. MKL PARDISO (`LastBlock`) and SciPy's SuperLU (`TrailingBlock`) factorise K
 with the retained unknowns last and find S at the end of the factors; `BackSubstitution` factorises K_ii alone and
-solves once for every retained unknown; `NestedBlock` goes on from any of these to fewer unknowns. Which is taken is
-decided where a stiffness is condensed (`contactqp.linalg.condensation.eliminate`).
+solves once for every retained unknown; `NestedBlock` continues from any of these to fewer unknowns. The choice is made
+in `contactqp.linalg.condensation.eliminate`.
 
 SuperLU is given springs T > 0 on c,
 
@@ -41,11 +41,12 @@ from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, 
 from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
-# T where K has a diagonal of about one. Measured on blocks, plates, beams and lattices, floating or with a contrast of
-# 1e12: S is as accurate as without springs, up to 30 times more than with T = 1; f_S is as accurate as with T = 1, up
-# to 20 times more than with 2^-10.
+# T for a diagonal of K near one. On blocks, plates, beams and lattices, floating or with a contrast of 1e12, S is as
+# accurate as without springs and up to 30 times more than with T = 1; f_S is as accurate as with T = 1 and up to 20
+# times more than with 2^-10.
 SPRING = 2.0**-4
-# Up to so many retained unknowns keep their columns of (K + T)^-1: a product then replaces the second solve of a load.
+# Up to this number of retained unknowns their columns of (K + T)^-1 are kept, so that a product replaces the second
+# solve.
 FEW_TRAILING = 16
 
 
@@ -59,7 +60,7 @@ class TrailingBlock:
 
     def __init__(self, stiffness: Any, retained: Indices) -> None:
         self._retained = retained
-        # Powers of two scale without rounding: the rigid motions of K stay what they are.
+        # Scaling by powers of two does not round and keeps the rigid motions of K.
         self._scale = 2.0 ** np.round(np.log2(inverse_root(stiffness.diagonal())))
         self._springs = SPRING / self._scale[retained] ** 2
         self.half_substitutions = self._responses = 0
@@ -94,7 +95,7 @@ class TrailingBlock:
         return np.column_stack([self.expand(column, nothing) for column in retained.T])
 
     def _response(self, force: Vector) -> Vector:
-        """Return (K + T)^-1 of a force (p,) on the retained unknowns; after a few calls its columns are kept."""
+        """Return (K + T)^-1 times a force (p,) on the retained unknowns; after a few calls its columns are kept."""
         if 0 < len(force) <= FEW_TRAILING and self._responses > len(force):
             return np.asarray(self._columns @ force)
         self._responses += 1
@@ -124,7 +125,7 @@ class TrailingBlock:
 
 
 def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
-    """Return the factors of K + T in the given order, and whether K_ii had to be lifted off an exactly zero pivot."""
+    """Return the factors of K + T in the given order, and whether K_ii was shifted because of a zero pivot."""
     from scipy.sparse.linalg import splu
 
     for lift in (0.0, LIFT * matrix.shape[0]):
@@ -132,9 +133,9 @@ def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
         added = np.where(np.arange(matrix.shape[0]) < interior, lift, SPRING)
         try:
             factor = splu(sp.csc_matrix(matrix + sp.diags(added)), permc_spec="NATURAL", **DIAGONAL_PIVOTS)
-        except RuntimeError:  # SuperLU's word for a zero pivot with nothing but zeros beneath
+        except RuntimeError:  # SuperLU's message for a zero pivot above zeros
             continue
-        if np.array_equal(factor.perm_r, factor.perm_c):  # else it took another pivot in place of one that is zero
+        if np.array_equal(factor.perm_r, factor.perm_c):  # else it exchanged rows because of a zero pivot
             return factor, lift > 0
     raise InvalidProblem("stiffness: expected positive semidefinite, got a pivot of zero that no lift takes away")
 
@@ -148,22 +149,22 @@ def _pivots_and_trailing_block(factor: Any, interior: int) -> tuple[Vector, Arra
     return pivots, lower @ upper
 
 
-# Up to so many interior unknowns for each retained one S comes from back-substitutions. The dense block where SuperLU
-# eliminates the retained unknowns cost 2.5 to 6 times as much at one to one, 0.7 to 2 times at three to one.
+# Up to this ratio of interior to retained unknowns S is computed by back-substitutions. SuperLU's elimination of the
+# retained unknowns in a dense block costs 2.5 to 6 times as much at a ratio of one, 0.7 to 2 times at three.
 FEW = 4
-# From here on a sparse factorisation with PARDISO pays for loading it.
+# The size from which on loading PARDISO for a sparse factorisation pays.
 LARGE = 2000
-# Products that factors of a band with row exchanges may take: less than a second.
+# The most operations of factors of a band with row exchanges (less than a second).
 OF_BAND = 1e9
-# Up to so many entries beside the diagonal LAPACK's factors of a band take a tenth of the time of a sparse solver,
-# which spends most of it on an order of elimination; and entries a row above which none is looked for.
+# The half bandwidth up to which LAPACK's band factors take a tenth of the time of a sparse solver, which mostly orders;
+# and the entries per row above which no band is searched.
 NARROW, ENTRIES_OF_NARROW = 16, 12
 SOLVERS = ("superlu", "pardiso")
 CHOICES = (*SOLVERS, "pyamg")
 
 
 class Elimination(Protocol):
-    """Factors of K_ii and what they leave."""
+    """Factors of K_ii, and the Schur complement S."""
 
     solver: str  # whose factors they are
     schur: Array  # (p, p) S
@@ -174,7 +175,7 @@ class Elimination(Protocol):
         """Return the number of substitutions, forward or backward, with one right-hand side each."""
 
     def reduce(self, load: Vector) -> tuple[Vector, Vector]:
-        """Return f_S (p,), and what `expand` needs of the load."""
+        """Return f_S (p,), and the state that `expand` needs."""
 
     def expand(self, retained: Vector, state: Vector) -> Vector:
         """Return u (n,) from u_c and the load that was reduced."""
@@ -184,7 +185,7 @@ class Elimination(Protocol):
 
 
 class LastBlock:
-    """S as PARDISO leaves it; half a back-substitution reduces a load, the other half expands a displacement."""
+    """S by PARDISO; half a back-substitution reduces a load, the other half expands a displacement."""
 
     solver = "pardiso"
 
@@ -196,7 +197,7 @@ class LastBlock:
         self.half_substitutions = 0
 
     def reduce(self, load: Array) -> tuple[Array, Array]:
-        """Return one load (n,), or several (n, q), on the retained unknowns, and what `expand` needs of it."""
+        """Return one load (n,), or several (n, q), on the retained unknowns, and the state that `expand` needs."""
         if not load.any():
             return np.zeros((len(self._retained), *load.shape[1:])), np.zeros_like(load)
         self._count(load)
@@ -204,7 +205,7 @@ class LastBlock:
         return eliminated[self._retained], eliminated
 
     def expand(self, retained: Array, state: Array) -> Array:
-        """Return all unknowns, (n,) or (n, q), from those that are retained and what `reduce` returned."""
+        """Return all unknowns, (n,) or (n, q), from the retained ones and the state of `reduce`."""
         self._count(state)
         right = state.copy()
         right[self._retained] = retained
@@ -225,12 +226,12 @@ class LastBlock:
 
 
 class NestedBlock:
-    """Some of the unknowns that another elimination has retained; the others are eliminated from its S, which is dense.
+    """An elimination that retains fewer unknowns than another one, the others being eliminated from its dense S.
 
-    With r the unknowns that go, S_cc - S_cr S_rr^-1 S_rc is the Schur complement of K onto c, and no sparse
-    factorisation is made anew.
+    With the eliminated unknowns r, S_cc - S_cr S_rr^-1 S_rc is the Schur complement of K onto c, without another sparse
+    factorisation.
 
-    Raises NotPositive: S_rr is singular, as far as its pivots tell.
+    Raises NotPositive: S_rr is singular by its pivots.
     """
 
     def __init__(self, outer: Elimination, outer_retained: Indices, retained: Indices) -> None:
@@ -281,7 +282,7 @@ def same_matrix(one: Any, other: Any) -> bool:
 def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indices) -> Callable[[Vector], Vector]:
     """Return a function that solves with a sparse matrix: by LAPACK where it is a narrow band, by PARDISO, by SuperLU.
 
-    PARDISO is taken where it is installed and pays.
+    PARDISO is used where it is installed and pays.
 
     Raises BackendFailed: the solver ran out of memory, or met a pivot of zero.
 
@@ -306,7 +307,7 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
         try:
             return order.factorised(matrix, unknowns, kind).solve_all
         except NotPositive:
-            # K has negative curvature, of rounding or for all to see: `refuse_indefinite` tells.
+            # K has negative curvature, which `refuse_indefinite` examines.
             return order.factorised(matrix, unknowns, INDEFINITE).solve_all
     from scipy.sparse.linalg import splu
 
@@ -333,7 +334,7 @@ class Band:
         self.width = int(np.max(abs(self._row - self._column), initial=0))
 
     def fits(self, matrix: Any) -> bool:
-        """Return whether a matrix has its entries where that of this order has them."""
+        """Return whether a matrix has the pattern of this order."""
         return np.array_equal(self._starts, matrix.indptr) and np.array_equal(self._indices, matrix.indices)
 
     def factorised(self, matrix: Any) -> Callable[[Vector], Vector]:
@@ -374,15 +375,15 @@ def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
 
 
 class PivotedSaddle:
-    """The saddle point of closed contacts and ties that nearly depend on each other, by factors with pivots.
+    """The saddle point of nearly dependent closed contacts and ties, by factors with row exchanges.
 
         [ a K  E_C' ] [ u   ]   [ a f ]
         [ E_C       ] [ a l ] = [ g_C ]
 
-    With a beneath the least singular value of the rows the condition number of the matrix is that of the rows, and not
+    With a below the least singular value of the rows the condition number of the matrix is that of the rows instead of
     its square (Bjorck 1996, section 2.5.1).
 
-    Raises BackendFailed: the rows depend on each other, or the factors may have too many entries.
+    Raises BackendFailed: the rows are dependent, or the factors may have too many entries.
 
     Parameters
     ----------
@@ -402,17 +403,17 @@ class PivotedSaddle:
         return u, carried[: self._contacts] / self._part, carried[self._contacts :] / self._part, 1
 
 
-# A singular value of rows of unit length beneath this part of the largest is none, nor is such a stiffness.
+# Singular values of unit rows, and of the stiffness, below this part of the largest count as zero.
 OF_NO_RANK = 1e-11
-# Products that dense factors of rows may take: some tenths of a second.
+# The most operations of dense factors of rows (some tenths of a second).
 OF_RANK = 5e8
 
 
 class RankedSaddle:
-    """The saddle point of closed contacts and ties of which some depend on others, by dense factors that tell which.
+    """The saddle point of dependent closed contacts and ties, by dense rank-revealing factors.
 
     With Q R P' = [E_C' A'] and its first r columns Y, u = Y y + Z z: r rows give y, equilibrium along Z gives z, and
-    along Y the forces, of all that do the least ones (Nocedal and Wright 2006, section 16.2).
+    along Y the minimum-norm forces (Nocedal and Wright 2006, section 16.2).
 
     Parameters
     ----------
@@ -428,7 +429,7 @@ class RankedSaddle:
         pivots = abs(np.diag(R))
         rank = int(np.sum(pivots > OF_NO_RANK * np.max(pivots, initial=0.0)))
         self._Y, Z, self._R = Q[:, :rank], Q[:, rank:], R[:rank, :rank]
-        self._shared = qr(R[:rank].T, mode="economic")  # of rows that share what they carry
+        self._shared = qr(R[:rank].T, mode="economic")  # of dependent rows
         self._K = problem.stiffness_rows
         sizes, motions = np.linalg.eigh(Z.T @ (self._K @ Z))
         resisted = sizes > OF_NO_RANK * np.max(sizes, initial=0.0)
@@ -447,7 +448,7 @@ class RankedSaddle:
         return u, carried[: self._contacts], carried[self._contacts :], 1
 
 
-# Rows onto whose multipliers unknowns are eliminated that nothing else couples: dense work of so few costs nothing.
+# The number of rows up to which uncoupled unknowns are eliminated onto the multipliers by dense algebra.
 FEW_ROWS = 200
 
 

@@ -1,14 +1,14 @@
-"""Sparse saddle points: equilibrium with closed contacts and ties where these are too many to condense onto.
+"""Solve sparse saddle-point systems with closed contacts and ties, where these are too many for condensation.
 
     [ K    E_C'  A' ] [ u  ]   [ f   ]
     [ E_C           ] [ l  ] = [ g_C ]
     [ A             ] [ nu ]   [ b   ]
 
 The matrix is factorised with +d and -d added to its diagonal. That makes it quasi-definite: L D L' exists in any order
-of elimination (Vanderbei 1995), whatever K does not resist and however many rows repeat. Residuals in extended
-precision take the d back: every sweep is a step of the proximal method of multipliers (Rockafellar 1976), which comes
-to a solution wherever there is one. Where unknowns or multipliers are not unique it is the solution near to where the
-sweeps start, so that an interior point's multipliers, all positive, stay positive and no basis has to be chosen.
+of elimination (Vanderbei 1995), also for singular K and dependent rows. Residuals in extended precision remove the
+effect of d: every sweep is a step of the proximal method of multipliers (Rockafellar 1976), which converges to a
+solution if there is one. If unknowns or multipliers are not unique it is the solution near the start, so that the
+positive multipliers of an interior point stay positive and no basis has to be chosen.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from contactqp.linalg.schur import LARGE, OF_RANK, PivotedSaddle, RankedSaddle, 
 from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
-# What is added to the diagonal of the saddle point, whose entries are at most one: the largest first, which rounds
-# least. The next is taken where sweeps contract too slowly, as rows that nearly repeat make them.
+# Values of d, for entries of at most one, tried from the largest, which has the least rounding. The next one is used if
+# sweeps contract too slowly, as with nearly dependent rows.
 REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
-# Factors of narrow bands have row exchanges, which need no more than the last where the first contracts too slowly.
+# For narrow bands, factorised with row exchanges, the last one is used directly if the first contracts too slowly.
 BETWEEN = REGULARISATIONS[1:-1]
-# Up to this part of the unknowns that closed contacts fix, eliminating these with the others costs less than an
-# analysis of what is left, in space too, where it takes a fifth of the time of a factorisation.
+# Up to this part of unknowns fixed by closed contacts, it is cheaper to eliminate these with the others than to analyse
+# the remaining pattern.
 FEW_FIXED = 0.2
-# Residuals at which no smaller one is tried, and the part of the residual that it must get below.
+# The residual at which no smaller d is tried, and the reduction that a smaller d must achieve.
 FINE, WORTH_ANOTHER = 1e-22, 0.1
-# A sweep that makes the larger residual grow by more than this has failed.
+# A sweep has failed if the larger residual grows by more than this.
 GROWS = 4.0
 # Parts of K of which one is small beside rows that nearly depend on each other, and how often they are tried in vain.
 SMALL_STIFFNESS, MOST_IN_VAIN = (1e-4, 1e-8, 1e-12), 3
@@ -57,26 +57,26 @@ CORRECTIONS = 2
 # Residuals above this part of the forces and lengths that meet have half of their digits in doubles: as many as a
 # correction needs that is refined in doubles.
 FAR = 1e-8
-# Residuals of this part of the forces and lengths that meet are nothing in extended precision.
+# Residuals below this part of the forces and lengths that meet are rounding in extended precision.
 SOLVED = 2.0**-88
-# Rows that leave more than this part of the largest length are not met: nothing solves them together.
+# Rows with residuals above this part of the largest length are not satisfied, as they conflict.
 MET = 1e-14
-# The same beside what acts and what is imposed, which may be less than what meets.
+# The same relative to acting forces and imposed lengths, which may be smaller.
 MET_BESIDE_IMPOSED = 1e-10
-# Rows that leave more than this part of the largest length contradict each other: to close others mends nothing.
+# Rows with residuals above this part of the largest length contradict each other.
 NEARLY_MET = 1e-6
-# Forces and lengths beneath this part of the largest have no sign: they are known to some 1e-28 of it.
+# Forces and lengths below this part of the largest have no sign, as their error is about 1e-28 of it.
 SIGNED = 1e-20
-# Beneath this part of what it takes to move the lengths that meet there is no force.
+# Forces below this part of those that cause the lengths that meet count as zero.
 NO_FORCE = 1e-12
-# Forces that balance to this part of those that meet are those of a solution, and not of a point near one.
+# Forces balanced to this part of those that meet belong to a solution.
 BALANCED = 1e-20
-# Forces that miss balance by more than this part of those that meet are no residue of a backend's tolerance.
+# Residuals above this part of the forces that meet are not due to a backend's tolerance.
 NEARLY_BALANCED = 1e-7
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up; and where more than
 # FEW_WRONG of them are, before another backend is asked, whose answer may be nearer.
 WASTED, WASTED_AT_FIRST, FEW_WRONG = 25, 6, 10
-# Factorisations from the answer of one backend before another is asked.
+# The most factorisations for the answer of one backend before another one is run.
 SYSTEMS_AT_FIRST = 150
 # Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
 # approach that is none.
@@ -124,8 +124,8 @@ class SparseSaddle:
     ) -> pardiso.Pardiso | None:
         """Return the factors of K with the rows and columns of fixed unknowns replaced by those of the identity.
 
-        They have the entries of K, whose own factors, which the certificate asks for, take no other analysis. None
-        where so many unknowns are fixed that it costs less to leave them out, or PARDISO is not to be used.
+        They have the pattern of K, whose factors for the certificate then need no further analysis. None if so many
+        unknowns are fixed that leaving them out is cheaper, or if PARDISO is not used.
         """
         n, fixed = self._K.shape[0], np.zeros(self._K.shape[0], dtype=bool)
         if not (n > LARGE and pardiso.available() and len(self._fixed) <= FEW_FIXED * n):
@@ -179,7 +179,7 @@ class SparseSaddle:
 
 @dataclass
 class Effort:
-    """The number of factorisations and back-substitutions of saddle points so far, and what they may be spent on.
+    """The number of factorisations and back-substitutions of saddle points so far, with their limits.
 
     `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
     after which no more are made; `cut` says that one was not made for either reason. `pivots` says whether rows that
@@ -208,21 +208,21 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class ClosedState:
-    """An answer in which some contacts are held at their gap and the others have no force, with its residuals.
+    """An answer with some contacts closed and zero forces on the others, with its residuals.
 
     Attributes
     ----------
     problem : the equilibrated problem, in whose units everything here is
-    closed : (m,) array of bool, the contacts that are held
+    closed : (m,) array of bool, the closed contacts
     answer : ExtendedAnswer
     left : Residuals
     force, length : the largest force that meets at an unknown, the largest length
     force_residual, length_residual : float
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
     unmet : float
-        The larger of them relative to the forces that act, those of load and stiffness, and to the lengths that are
-        imposed: forces that press against each other and unknowns that run away hide nothing.
-    in_conflict : bool, whether a vertex without contacts that conflict has been looked for in vain
+        The larger of them relative to acting forces, those of load and stiffness, and to imposed lengths, so that
+        self-equilibrated forces and diverging unknowns hide nothing.
+    in_conflict : bool, whether the search for a vertex without conflicting contacts has failed
     """
 
     problem: ContactProblem
@@ -238,13 +238,13 @@ class ClosedState:
 
     @classmethod
     def started(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
-        """Return the state of an answer to start from; far from a solution its residuals are those of doubles."""
+        """Return the state of an answer as a start; far from a solution its residuals are formed in doubles."""
         state = cls.of(problem, closed, answer, plain=True)
         return state if state.residual > FAR else cls.of(problem, closed, answer)
 
     @classmethod
     def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer, plain: bool = False) -> ClosedState:
-        """Return the state of an answer, its forces on open contacts left out.
+        """Return the state of an answer, without forces on open contacts.
 
         Parameters
         ----------
@@ -263,7 +263,7 @@ class ClosedState:
         of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
         longest = max(float(values.max(initial=0.0)) for values in (u, lengths[closed], of_ties))
         longest = max(longest, least_length(problem, closed))
-        # Where no force acts, those that would move the lengths that meet.
+        # Without acting forces, those that would cause the lengths that meet.
         largest = max(float(forces.max(initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
         unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
@@ -283,8 +283,8 @@ class ClosedState:
     def better_than(self, before: ClosedState, part: float = 1.0) -> bool:
         """Return whether one residual has fallen below a part of its earlier value and the larger has not grown.
 
-        A sweep may mend one of them where rounding of the data keeps the other. Both are measured by the smaller force
-        and length of the two states: unknowns that run away mend nothing.
+        A sweep may reduce one of them while rounding of the data keeps the other. Both are relative to the smaller
+        force and length of the two states, so that diverging unknowns do not count as progress.
         """
         force, length = min(self.force, before.force), min(self.length, before.length)
         own, last = (
@@ -303,15 +303,15 @@ class ClosedState:
 
     @property
     def pulled(self) -> Mask:
-        """Return the closed contacts that are held in tension (m,)."""
+        """Return the closed contacts in tension (m,)."""
         return np.asarray(self.closed & (self.answer.normal_force.double() < -SIGNED * self.force))
 
     @property
     def penetrated(self) -> Mask:
         """Return the open contacts that are penetrated (m,).
 
-        Unknowns without stiffness that run away make the largest length as large as you like: beside the lengths that
-        meet at the contact and those that stiff unknowns move, a penetration is no rounding of it.
+        Since unknowns without stiffness may diverge, penetrations are compared with the lengths that meet at the
+        contact and those of stiff unknowns, not with the largest length.
         """
         gap, u = self.left.gap.double(), abs(self.answer.displacement.double())
         beneath = gap < -SIGNED * self.length
@@ -322,18 +322,18 @@ class ClosedState:
 
     @property
     def holds(self) -> bool:
-        """Return whether the answer solves the problem: residuals are small, no contact pulls or is penetrated."""
+        """Return whether the answer solves the problem, with small residuals and neither tension nor penetration."""
         return self.solved and not (self.pulled.any() or self.penetrated.any())
 
 
 def _part(value: float, size: float) -> float:
     if value == 0 and not np.isnan(size):
         return 0.0
-    return value / size if value < np.inf and size > 0 else np.inf  # NaN is no residual of a solution
+    return value / size if value < np.inf and size > 0 else np.inf  # NaN is not small
 
 
 def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort) -> ClosedState:
-    """Return the answer with these contacts closed that is nearest to a start; `solved` says whether there is one.
+    """Return the answer with these contacts closed nearest to a start; `solved` tells whether it exists.
 
     Parameters
     ----------
@@ -345,10 +345,10 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
             continue
         try:
             saddle = kept_saddle(problem, closed, regularisation, effort)
-        except BackendFailed:  # too little was added for pivots on the diagonal
+        except BackendFailed:  # d is too small for pivots on the diagonal
             break
         after = _swept(state, saddle, effort)
-        # Rows that contradict each other by rounding are met no better: multipliers would only drift along them.
+        # Residuals of rows that contradict each other by rounding cannot be reduced, and multipliers would drift.
         if regularisation < REGULARISATIONS[0] and state.solved and not after.better_than(state, WORTH_ANOTHER):
             break
         state = after
@@ -360,7 +360,7 @@ def solved_on(problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effo
 
 
 def _by_rank(state: ClosedState, start: ExtendedAnswer, effort: Effort) -> ClosedState:
-    """Return the state that dense factors lead to which tell the rank of rows, or the same where they lead to none."""
+    """Return the state by dense rank-revealing factors, or the same state if they fail."""
     problem, closed = state.problem, np.flatnonzero(state.closed)
     if state.residual > NEARLY_MET or (len(closed) + problem.ties) * problem.dimension**2 > OF_RANK:
         return state
@@ -373,7 +373,7 @@ def _by_rank(state: ClosedState, start: ExtendedAnswer, effort: Effort) -> Close
 
 
 def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state with its rows met together by factors with pivots, or the same where these do not lead to it."""
+    """Return the state with all rows satisfied by factors with row exchanges, or the same state if they fail."""
     problem, closed = state.problem, np.flatnonzero(state.closed)
     few = len(closed) + problem.ties <= problem.dimension
     if not few or state.residual > NEARLY_MET or effort.in_vain >= MOST_IN_VAIN:
@@ -384,7 +384,7 @@ def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
         except BackendFailed:
             break
         effort.factorisations += 1
-        # The first answer is off by the rounding of forces that may be far larger than those of the state before.
+        # The first answer has rounding errors of forces that may be far larger than those of the previous state.
         after = _swept(_corrected(state, saddle, effort), saddle, effort)
         if after.solved and after.length_residual <= MET_TOGETHER:
             return after
@@ -400,7 +400,7 @@ def _corrected(state: ClosedState, saddle: SparseSaddle | PivotedSaddle | Ranked
 
 
 def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, effort: Effort) -> SparseSaddle:
-    """Return the factorised saddle point; the last of a stiffness is kept for the certificate.
+    """Return the factorised saddle point; the last one of a stiffness is kept for the certificate.
 
     Parameters
     ----------
@@ -420,7 +420,7 @@ def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, ef
 
 
 def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle | RankedSaddle, effort: Effort) -> ClosedState:
-    """Refine with one factorisation for as long as sweeps reduce the residual by a good part."""
+    """Refine with one factorisation as long as sweeps clearly reduce the residual."""
     slow = 0
     for _ in range(SWEEPS):
         if not state.residual > SOLVED:
@@ -438,11 +438,11 @@ def _swept(state: ClosedState, saddle: SparseSaddle | PivotedSaddle | RankedSadd
 def nearest_state(
     problem: ContactProblem, closed: Mask, start: ExtendedAnswer, effort: Effort, driven: bool = False
 ) -> ClosedState:
-    """Return the state that changes of the closed contacts lead to; `holds` says whether it solves the problem.
+    """Return the state reached by changes of the closed contacts; `holds` tells whether it solves the problem.
 
-    Contacts in tension open and those that are penetrated close, all at once (Hintermueller, Ito, Kunisch 2003), as
-    long as that makes them fewer. Where that leaves a motion which nothing resists and the load drives, contacts close
-    in the order in which it reaches them.
+    All contacts in tension open and all penetrated ones close (Hintermueller, Ito, Kunisch 2003), as long as their
+    number decreases. If the load then drives an unresisted motion, contacts close in the order in which it reaches
+    them.
 
     Parameters
     ----------
@@ -460,7 +460,7 @@ def nearest_state(
 
 
 def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state that a solved one leads to where contacts in tension open and penetrated ones close."""
+    """Return the state reached from a solved one by opening contacts in tension and closing penetrated ones."""
     problem, fewest, wasted = state.problem, np.inf, 0
     while state.solved and not state.holds:
         pulled, penetrated = state.pulled, state.penetrated
@@ -478,11 +478,11 @@ def with_right_signs(state: ClosedState, effort: Effort) -> ClosedState:
 
 
 def _blocked(start: ClosedState, driven: ClosedState, effort: Effort) -> ClosedState:
-    """Return the state in which contacts that a driven motion reaches first are closed, until all forces balance.
+    """Return the state in which contacts that block driven motions are closed, until all forces balance.
 
-    Forces that the closed contacts of a state do not carry drive a motion d, which regularisation alone resists. From
-    a start at which the contacts are met, contact i closes after the least (g - E u)_i / (E d)_i (the ratio test of
-    active-set methods, Nocedal and Wright 2006, section 16.5).
+    Unbalanced forces drive a motion d, which only the regularisation resists. From a feasible start the contact i with
+    the least (g - E u)_i / (E d)_i closes (the ratio test of active-set methods, Nocedal and Wright 2006, section
+    16.5).
     """
     problem, gap = start.problem, np.maximum(start.left.gap.double(), 0.0)
     for _ in range(BLOCKING):

@@ -1,4 +1,5 @@
-"""One combination of open, stick and slip in the plane as a sparse system of all unknowns, nothing being condensed.
+"""Solve the sparse system of one combination of open, stick and slip in the plane in all unknowns, without
+condensation.
 
     [ K + d   N_c' + T_c' diag(mu t)   T_b'   A' ] [ u   ]   [ f ]
     [ N_c     -d                                 ] [ l_N ] = [ g ]      c: closed contacts, t = -1, 0, 1 their slip
@@ -6,9 +7,9 @@
     [ A                        -d                ] [ nu  ]   [ b ]
 
 is the system of `contactqp.linalg.friction_states` before condensation, in the same scale: unknowns by 1/sqrt(K_jj),
-rows of unit length in the energy. The d on the diagonal, as in `contactqp.linalg.sparse_saddle`, let it be eliminated
-in an order that keeps it sparse; residuals in extended precision take them back. It is meant for bodies that are held.
-Combinations that follow each other differ in few contacts, and the factors of one serve for the next.
+rows of unit length in the energy. The d on the diagonal, as in `contactqp.linalg.sparse_saddle`, permits a sparse
+elimination in any order; residuals in extended precision remove its effect. It is meant for supported bodies.
+Successive combinations differ in few contacts, and the factors of one are reused for the next.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# d: with a diagonal and rows of one it costs a sweep of refinement some seven digits of the sixteen.
+# The value of d; with unit diagonal and rows a sweep of refinement then gains about nine digits.
 REGULARISATION = 1e-9
-# Systems that are kept: that of an answer, and the one without contacts that measures forces.
+# The number of systems kept: that of an answer, and the one without contacts that measures forces.
 KEPT = 2
-# Equations that differ from those of a factorised combination, up to which its factors serve: beyond, that many
-# back-substitutions take as long as new ones.
+# The most changed equations for which the factors of a combination are reused; for more, the back-substitutions take as
+# long as new factors.
 MOST_CHANGES = 32
-# Responses to right-hand sides of one that reach this part of 1/d are those of a system without an inverse.
+# A system is singular if the response to unit right-hand sides exceeds this part of 1/d.
 ALMOST_FREE = 1e-3
 
-# Of unknowns (n,), normal forces and friction of contacts (m,), and ties (k,): a solution, or a right-hand side.
+# A solution or right-hand side: unknowns (n,), normal and friction forces of contacts (m,), and ties (k,).
 _Parts = tuple[Vector, Vector, Vector, Vector]
 
 
 class SparseFrictionalRows:
-    """A frictional problem in the plane in all its unknowns; attributes as those of `FrictionalRows`, sparse.
+    """A frictional problem in the plane in all unknowns, with the attributes of `FrictionalRows`, sparse.
 
     `factorisations` says how many systems of combinations have been factorised.
     """
@@ -76,7 +77,7 @@ class SparseFrictionalRows:
         return self._systems[key]
 
     def _made(self, problem: ContactProblem, status: Status) -> StateSystem:
-        """Return the system of a combination, by factors of the last one where it differs in few equations."""
+        """Return the system of a combination, by the factors of the last one if few equations differ."""
         last = self._factorised
         if last is not None and last.regular and np.any(status != OPEN):
             few = sum(len(some) for some in _changes(last.status, status)) <= MOST_CHANGES
@@ -99,7 +100,7 @@ def _unit(rows: Any) -> tuple[Any, Vector]:
 
 
 def frictional_rows(problem: ContactProblem) -> SparseFrictionalRows:
-    """Return the frictional rows of a stiffness, its rows and coefficients, which are made once."""
+    """Return the frictional rows of a stiffness, its rows and coefficients, made once."""
     kept = problem._computed.sparse_frictional_rows
     if kept is None or kept[0] is not problem.friction:
         kept = problem._computed.sparse_frictional_rows = (problem.friction, SparseFrictionalRows(problem))
@@ -118,7 +119,7 @@ class StateSystem(ABC):
     drag : (m,) array, friction over normal force of contacts that slip, with the sign of their slip; zero for others
     """
 
-    redundant = False  # where rows depend on others the system is not regular
+    redundant = False  # with dependent rows the system is not regular
     regular: bool
 
     def __init__(self, rows: SparseFrictionalRows, status: Status) -> None:
@@ -134,7 +135,7 @@ class StateSystem(ABC):
         """
 
     def _solve(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> _Parts:
-        """Return the solution without regularisation, refined in double precision while that removes most of it."""
+        """Return the solution without regularisation, by refinement in double precision."""
         right = (load, np.where(self._closed, gap, 0.0), np.where(self._stuck, slip, 0.0), tie)
         found, last = self._once(*right), _largest(right)
         for _ in range(CORRECTIONS):
@@ -222,7 +223,7 @@ class SparseStateSystem(StateSystem):
         return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
 
     def places(self) -> tuple[Indices, Indices]:
-        """Return the places of normal and of sticking forces in the system, (m,) each; -1 where a contact has none."""
+        """Return the indices of normal and of sticking forces in the system, (m,) each, -1 for none."""
         pushing, sticking = np.full((2, len(self.status)), -1)
         pushing[self.closed] = len(self._rows.scale) + np.arange(len(self.closed))
         sticking[self.stuck] = len(self._rows.scale) + len(self.closed) + np.arange(len(self.stuck))
@@ -299,7 +300,7 @@ class ChangedStateSystem(StateSystem):
 
 
 def _changes(before: Status, after: Status) -> tuple[Indices, ...]:
-    """Return the contacts that open, that stop sticking, that close, that begin to stick, and that turn."""
+    """Return the contacts that open, stop sticking, close, begin to stick, and reverse their slip."""
     flags = (
         (before != OPEN) & (after == OPEN),
         (before == STICK) & (after != STICK),

@@ -1,13 +1,13 @@
-"""z = M r: one symmetric V-cycle on a hierarchy of levels, with rows that hold the body.
+"""The preconditioner z = M r, one symmetric V-cycle on a hierarchy of levels with constrained rows.
 
-Rows E that hold (closed contacts, ties) come in as stiffness C of the size of K on them,
+Constrained rows E (closed contacts, ties) are represented by springs C of the size of K,
 
     K + E'CE,    on the coarse levels    K_coarse + (E P)'C (E P),    and so on down:
 
-a change of few entries, so that one hierarchy serves every set of closed contacts. Where E u = 0 both stiffnesses are
-the same. With K_ii of the unknowns that E leaves alone, K_bb of those it holds, and E'CE >= s K_bb there, the Schur
-complement K_ii - K_ib (K_bb + E'CE)^-1 K_bi >= s/(1 + s) K_ii: the inverse of the second stiffness, restricted, lies
-within a factor 1 + 1/s of the inverse of K_ii, on any mesh. Without C that factor grows as the mesh is refined.
+a change of few entries, so that one hierarchy is used for every set of closed contacts. Where E u = 0 both stiffnesses
+are the same. With K_ii of the unknowns without rows and K_bb of the constrained ones, and E'CE >= s K_bb there, the
+Schur complement K_ii - K_ib (K_bb + E'CE)^-1 K_bi >= s/(1 + s) K_ii: the inverse of the second stiffness, restricted,
+lies within a factor 1 + 1/s of the inverse of K_ii, on any mesh. Without C that factor grows as the mesh is refined.
 
 M is symmetric positive definite, and the eigenvalues of M K lie in (0, 1], since the same polynomial smooths before and
 after the coarse correction and its interval ends beyond the spectrum.
@@ -35,7 +35,7 @@ HOLDING = 10.0
 
 
 class HeldLevel(ABC):
-    """One level with springs on the held rows: K + E'CE, its diagonal and largest eigenvalue."""
+    """One level with springs on the constrained rows: K + E'CE, its diagonal and largest eigenvalue."""
 
     diagonal: Array
     largest: float
@@ -103,9 +103,9 @@ class LevelRows(NamedTuple):
 
 
 class HeldHierarchy:
-    """A hierarchy with all rows that may be held, on every level: E, E P, E P P, ... of rows (a, n).
+    """A hierarchy with all rows that may be constrained on every level: E, E P, E P P, ... of rows (a, n).
 
-    The unknowns `afloat` (n,) are those of bodies that float; None where none does.
+    The unknowns `afloat` (n,) are those of floating bodies, None if there are none.
     """
 
     def __init__(self, hierarchy: Hierarchy, rows: Any, afloat: Mask | None = None) -> None:
@@ -121,7 +121,7 @@ class HeldHierarchy:
         self.coarsest = CoarsestLevel(self.levels[-1].matrix, self.rows[-1].columns, afloat)
 
     def of_rows(self, chosen: Indices) -> HeldHierarchy:
-        """Return the same hierarchy with some of the rows alone."""
+        """Return the hierarchy with some of the rows only."""
         other = copy(self)
         other.rows = [LevelRows(row.entries[chosen], row.columns) for row in self.rows]
         return other
@@ -140,7 +140,7 @@ class HeldHierarchy:
 
 
 def _springs(rows: Any, held: Indices, strength: Array, sprung: sp.csr_matrix | None) -> Any:
-    """Return the held ones of rows (a, unknowns) times the roots of their stiffness, and `sprung` times all rows."""
+    """Return the constrained rows of (a, unknowns) times the roots of their stiffness, and `sprung` times all rows."""
     some = rows[held]
     entries = some.data * np.repeat(strength, np.diff(some.indptr))
     springs = sp.csr_matrix((entries, some.indices, some.indptr), some.shape)
@@ -148,7 +148,7 @@ def _springs(rows: Any, held: Indices, strength: Array, sprung: sp.csr_matrix | 
 
 
 def held_strength(compliance: Array) -> Array:
-    """Return sqrt(C) of rows with compliance E D^-1 E' (a,); zero for rows that move nothing."""
+    """Return sqrt(C) of rows with compliance E D^-1 E' (a,), zero for rows of zeros."""
     return np.sqrt(np.divide(HOLDING, compliance, out=np.zeros_like(compliance), where=compliance > 0))
 
 
@@ -164,8 +164,8 @@ class _HeldLevel(HeldLevel):
         own = np.bincount(E.indices, E.data**2, E.shape[1])
         self.diagonal = self.diagonal.copy()
         self.diagonal[added.columns] += own
-        # No eigenvalue of a sum exceeds those of both parts, each against its own diagonal; without a product by K.
-        if E.nnz == np.count_nonzero(own):  # no unknown is held by two rows: W W' below counts the unknowns of each row
+        # An upper bound, as no eigenvalue of a sum exceeds those of both parts relative to their diagonals.
+        if E.nnz == np.count_nonzero(own):  # no unknown belongs to two rows, so W W' below is diagonal
             of_rows = float(np.max(np.diff(E.indptr)))
         else:
             W = E[:, own > 0] @ sp.diags(1 / np.sqrt(own[own > 0]))
