@@ -339,7 +339,7 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
             f"{nearest:.2g} of the rates only, which rounding may have made"
         )
     if not found and np.isinf(nearest) and np.any(rates.drive):
-        raise Unsupported(JUMPS)
+        raise Unsupported(f"{JUMPS} ({at})")
     if not found:
         raise NoEquilibrium(
             f"follow_path: {at}: no continuation: the equilibrium is lost, no choice of open, stick and slip at "
