@@ -259,7 +259,7 @@ def _measured(
     dependent = _dependent_ties(problem, condensation, bounds) if problem.ties > 1 else ()
     nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
     if off := fails_force_bound(bounds, error_tolerance, 0.0):
-        pushed = float(np.max(problem.own_scale * problem.load_size, initial=0.0))  # S may be a gap crossed rigidly
+        pushed = float((problem.own_scale * problem.load_size).max(initial=0.0))  # S may be a gap crossed rigidly
         smooth = pushed > 0 and not problem.frictional
         off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
     strained = max(found.intrinsic_size, state.energy)

@@ -51,8 +51,8 @@ class ContactEntries:
     def over(self, meeting: Vector) -> Array:
         """Return E_ij / F_j (w, z); where no force meets, an entry counts as much as the contact's largest."""
         F = meeting[self.unknown]
-        scaled = np.divide(self.values, F, out=np.zeros_like(self.values), where=F > 0)
-        if not np.all(F > 0):
+        scaled = np.divide(self.values, F, out=np.zeros(self.values.shape), where=F > 0)
+        if not (F > 0).all():
             largest = self.largest(scaled)
             idle = np.where(largest > 0, largest, 1.0)[self.contact] * np.sign(self.values)
             scaled = np.where(F > 0, scaled, idle)
@@ -65,7 +65,7 @@ class ContactEntries:
     def largest(self, values: Array) -> Vector:
         """Return the largest absolute value of (w, z) at each contact (m,)."""
         found = np.zeros(self.contacts)
-        np.maximum.at(found, self.contact, np.max(abs(values), axis=0))
+        np.maximum.at(found, self.contact, abs(values).max(axis=0))
         return found
 
     def sums(self, values: Array) -> Vector:
@@ -74,7 +74,7 @@ class ContactEntries:
 
     def forces(self, force: Array) -> Array:
         """Return E_i'v (z,) of one vector v for each contact, (m, w)."""
-        return np.asarray(np.sum(self.values * force.T[:, self.contact], axis=0))
+        return np.asarray((self.values * force.T[:, self.contact]).sum(axis=0))
 
 
 def contact_entries(problem: ContactProblem, name: str) -> ContactEntries:
@@ -121,7 +121,7 @@ def hardly_felt(compliances: tuple[Vector, Array], normal: Any, tangent: Any) ->
         rows = np.flatnonzero(weak)
         beside = abs(tangent[rows]) - np.sqrt(WEAK) * abs(normal[rows // weak.shape[1]])
         weak.flat[rows] = beside.max(axis=1).toarray().ravel() <= 0
-    return np.asarray(np.any(weak, axis=1))
+    return np.asarray(weak.any(axis=1))
 
 
 def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
@@ -272,8 +272,8 @@ def friction_figures(
     moved = lengths(slip)
     bound = coulomb.friction * np.maximum(answer.normal_force, 0.0)
     excess = np.maximum(lengths(force) - bound, 0.0)[:, None] * directions(force)
-    part = np.divide(coulomb.rounding, moved, out=np.zeros_like(bound), where=moved > 0)
-    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros_like(bound)
+    part = np.divide(coulomb.rounding, moved, out=np.zeros(len(bound)), where=moved > 0)
+    turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros(len(bound))
     off = force - bound[:, None] * directions(slip)
     wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
     slip_measure = ratio(moved, meeting)

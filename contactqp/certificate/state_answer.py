@@ -212,9 +212,9 @@ class CondensedBodies:
         self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
         self.floats = condensation.rigid.count > 0
         compliance = contact_compliance(problem, condensation)
-        per_contact = np.diag(compliance.W).reshape(problem.contacts, -1)
+        per_contact = compliance.W.diagonal().reshape(problem.contacts, -1)
         per_contact = np.where(per_contact > HELD, per_contact, 0.0) * compliance.scale[:, None] ** 2
-        self.along, self.across = per_contact[:, 0], np.max(per_contact[:, 1:], axis=1, initial=0.0)
+        self.along, self.across = per_contact[:, 0], per_contact[:, 1:].max(axis=1, initial=0.0)
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
         """Return the answer of a combination, refined from a start."""
@@ -255,9 +255,9 @@ class _Comparison:
         self._slip = self.slip(answer.displacement)
         # |E_i D|^2 of normal and tangential rows, and of the bodies where a row touches nothing stiff.
         normal, along = row_sizes(problem, problem.normal).compliance, row_sizes(problem, problem.tangent)
-        tangent = np.max(along.compliance.reshape(problem.contacts, -1), axis=1, initial=0.0)
+        tangent = along.compliance.reshape(problem.contacts, -1).max(axis=1, initial=0.0)
         self._own = np.where(normal > 0, normal, self._along), np.where(tangent > 0, tangent, self._across)
-        given = np.zeros_like(self._slip) if answer.friction_force is None else answer.friction_force
+        given = np.zeros(self._slip.shape) if answer.friction_force is None else answer.friction_force
         self.friction, self._dragged, self._slipped = given, lengths(given), lengths(self._slip)
         self.still = lengths(found.nothing.tangent.reshape(-1, self._width))  # slips (m,) up to which there is none
         # Along a tangent whose unknowns are all supported any friction would do.
@@ -430,7 +430,7 @@ class _Comparison:
 
         Beside a gap that a body crosses rigidly, the part of the intrinsic size that is nothing may be more.
         """
-        pushed = float(np.max(self._problem.own_scale * self._problem.load_size, initial=0.0))
+        pushed = float((self._problem.own_scale * self._problem.load_size).max(initial=0.0))
         return pushed if pushed > 0 else float("inf")
 
     def _rounding(self) -> float:
@@ -462,7 +462,7 @@ class _Signs:
         beyond = np.maximum(lengths(self._friction) - of.coefficient * np.maximum(force, 0.0), 0.0)
         beyond = np.where((status == STICK) & of._frictional, beyond, 0.0)
         sliding = (abs(status) == 1) & of._frictional
-        against = np.maximum(-np.sum(refined.directions * slip, axis=1), 0.0)
+        against = np.maximum(-(refined.directions * slip).sum(axis=1), 0.0)
         against = np.where(sliding & (against > of.still), against, 0.0)
         self._lengths = np.hypot(in_energy(penetrated, own_normal), in_energy(against, own_tangent))
         self._penetrated, self._tension, self._beyond, self._against = penetrated, tension, beyond, against

@@ -48,7 +48,6 @@ class Extended:
         return len(self.hi)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
-        del copy  # a sum of two arrays is a new array
         return np.asarray(self.hi + self.lo, dtype=dtype)
 
     def __getitem__(self, index: Any) -> Extended:
@@ -119,15 +118,18 @@ def _holding(hi: Array, lo: Array) -> Extended:
 
 
 def joined(*parts: Extended) -> Extended:
-    """Return extended vectors one after the other in one, friction forces flat."""
-    return _holding(
-        np.concatenate([one.hi.ravel() for one in parts]), np.concatenate([one.lo.ravel() for one in parts])
-    )
+    """Return extended vectors one after the other in one."""
+    return _holding(np.concatenate([one.hi for one in parts]), np.concatenate([one.lo for one in parts]))
 
 
 def extend(values: Any) -> Extended:
     """Return a vector in extended precision, from doubles or extended ones."""
     return values if isinstance(values, Extended) else Extended(values)
+
+
+def _flat(force: Extended | Array) -> Extended:
+    """Return friction forces (m, d-1), or a flat vector of them, as a flat one in extended precision."""
+    return force if isinstance(force, Extended) else Extended(force.ravel())
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
@@ -283,8 +285,7 @@ class ClearedRows:
     """
 
     def __init__(self, stiffness: ExtendedMatrix, motions: Array, inverse: Array) -> None:
-        self.shape = stiffness.shape
-        self._stiffness = stiffness
+        self.shape, self._stiffness = stiffness.shape, stiffness
         self._motions, self._resultants = SparseRows(motions), SparseRows(motions.T)
         self._coordinates, self._spread = inverse, SparseRows(inverse.T)
 
@@ -378,7 +379,7 @@ class ExtendedRows:
         """Return E_T'l_T (n,) of friction forces (m, d-1), or of a flat vector in extended precision [force]."""
         if self._tangent_transposed is None or force is None:
             return Extended(np.zeros(self.ends[0]))
-        return self._tangent_transposed @ (force if isinstance(force, Extended) else Extended(force.ravel()))
+        return self._tangent_transposed @ _flat(force)
 
     def cleared(self, motions: Array, inverse: Array) -> ExtendedRows:
         """Return rows whose stiffness is zero along rigid motions Z (n, r); `inverse` (r, n) is Y' with Y'Z = I."""
@@ -481,9 +482,8 @@ def residuals_of(
         n, m, k, size = rows.ends
         parts, limits = [u, normal, tie], [problem.load, problem.gap, problem.tie_value]
         if size > k:
-            tangential = np.zeros(size - k)
-            limits.append(tangential)
-            parts.append(extend(tangential if friction is None else friction))
+            limits.append(np.zeros(size - k))
+            parts.append(_flat(limits[-1] if friction is None else friction))
         left = rows.together.missing(np.concatenate(limits), joined(*parts))
         force, gap, open_tie, beside = left.parted(n, m, k)
         return Residuals(force, gap, open_tie, -beside if size > k else None)

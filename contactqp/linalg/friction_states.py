@@ -140,7 +140,7 @@ class StateSystem:
         independent: bool = False,
     ) -> None:
         self._of = status, directions, turning
-        self.closed, self.stuck = np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
+        self.closed, self.stuck = (status != OPEN).nonzero()[0], (status == STICK).nonzero()[0]
         self._condensation, self._rows, self.redundant = condensation, rows, False
         # Which of the normal, tangential and tie rows (m + (d-1) m + k,) are in the system, and their scales.
         m, end = len(rows.normal), len(rows.normal) + len(rows.tangent)
@@ -157,7 +157,7 @@ class StateSystem:
         if self._reduced is None:
             self._factorise(self._whole(directions, across, independent), 0.0 if independent else SINGULAR)
         self.regular = self._reduced is not None or self._inverse is None
-        units = (rows.normal_length, np.repeat(rows.tangent_length, rows.width), rows.tie_length)
+        units = (rows.normal_length, rows.tangent_length.repeat(rows.width), rows.tie_length)
         self._units = np.concatenate(units)[self._acting]
 
     def _whole(self, directions: Array, across: AcrossSlips, independent: bool) -> Array:
@@ -349,7 +349,7 @@ def refined_by(
     n, tied, pushed = ends = list(accumulate((problem.dimension, problem.ties, problem.contacts)))
     # Corrections of normal and friction forces are measured together in energy scale, as friction may be zero.
     unit, parts = np.ones(len(first)), sorted({0, n, tied} - {len(first)})
-    unit[tied:pushed], unit[pushed:] = rows.normal_length, np.repeat(rows.tangent_length, rows.width)
+    unit[tied:pushed], unit[pushed:] = rows.normal_length, rows.tangent_length.repeat(rows.width)
     x, elastic, size, last = extend(first), None, np.inf, np.inf
     slip = (exact.slip(x[:n]) - origin).double() if in_space else origin
     directions, turning = slip_directions(rows, status, slip, pushing, given)
@@ -470,7 +470,7 @@ def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answ
     values = (answer.displacement, answer.normal_force, _friction_of(answer, rows.width), answer.tie_force)
     units = (1.0 / scale, rows.normal_length, rows.tangent_length[:, None], rows.tie_length)
     u, *forces = zero_beneath(values, units, INVISIBLE * far)
-    if np.any(u != answer.displacement):
+    if (u != answer.displacement).any():
         kept = abs(answer.displacement) * units[0] > INVISIBLE * longest_stated(problem)
         u = np.where(kept, answer.displacement, u)
     return Answer(u, *forces)

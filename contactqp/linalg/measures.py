@@ -472,7 +472,7 @@ def lengths(vectors: Array) -> Vector:
     >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
     ['5e+200', '5e-200']
     """
-    return np.asarray(np.hypot.reduce(vectors, axis=-1, initial=0.0))
+    return abs(vectors.ravel()) if vectors.shape[-1] == 1 else np.hypot.reduce(vectors, axis=-1, initial=0.0)
 
 
 def directions(vectors: Array) -> Array:

@@ -30,8 +30,8 @@ class ContactState(IntEnum):
     CLOSED = 3
 
 
-OPEN, STICK, CLOSED = ContactState.OPEN, ContactState.STICK, ContactState.CLOSED
-SLIP_BACK, SLIP_ON = ContactState.SLIP_BACK, ContactState.SLIP_ON
+# As plain numbers, with which NumPy compares arrays in less than half the time of members of an enumeration.
+SLIP_BACK, OPEN, SLIP_ON, STICK, CLOSED = map(int, ContactState)
 Status = NDArray[np.int8]
 
 
