@@ -29,8 +29,8 @@ from contactqp.model.arrays import Vector as Vector
 from contactqp.model.computed import Computed
 from contactqp.model.names import NO_UNITS, name_of, read_names, read_units
 from contactqp.model.names import Units as Units
-from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.problem_data import (
+    PLAIN,
     are_near_one,
     csr_rows,
     no_rows,
@@ -44,6 +44,7 @@ from contactqp.model.problem_data import (
     read_vector,
     rows_of_dense,
 )
+from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.quadratic_program import QuadraticProgram, contact_data, given_program, quadratic_program
 
 MEASURED = ("asymmetry", "rigid_change")  # found while a stiffness was read
@@ -237,8 +238,8 @@ class ContactProblem:
         sizes = dict(dimension=self.stiffness.shape[0], contacts=self.normal.shape[0], ties=self.tie.shape[0])
         vars(self).update(sizes, frictional=self.friction is not None and bool((self.friction > 0).any()))
         given: tuple[Any, ...] = (self.stiffness, self.normal, self.tangent, self.tie)
-        vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in given if sp.issparse(one)]
-        vars(self).update({name: read_only(value) for name, value in values.items()})
+        vars(self)["_arrays"] = [(one, one.data, one.indices, one.indptr) for one in given if hasattr(one, "indptr")]
+        vars(self).update({name: read_only(value) for name, value in values.items() if type(value) not in PLAIN})
         self.load_size, self.own_scale  # noqa: B018  which everything asks for too
 
     def refuse_exchanged_arrays(self) -> None:
