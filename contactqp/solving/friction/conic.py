@@ -13,6 +13,7 @@ necessary.
 from __future__ import annotations
 
 import importlib
+import itertools
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -22,11 +23,14 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
 from contactqp.linalg.dense import BALANCED
+from contactqp.linalg.exact_algebra import Polyhedron, Row, solutions
 from contactqp.linalg.existence import unresisted
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.nonnegative import highs
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import around
 from contactqp.model.local_problem import LocalProblem
+from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.backends import collected_words
@@ -207,6 +211,104 @@ def refuse_penetrated(form: LocalForm) -> None:
     if _proven(form.problem, [w * Fraction(s) for w, s in zip(y, scale, strict=True)]):
         where = ", ".join(form.problem.contact_name(i) for i in range(form.m) if y[i])
         raise NoEquilibrium(f"no contact forces keep {where} from being penetrated, proven in rational numbers")
+
+
+# Directions of the plane with rational unit vectors: a polygon of tangents to the circle, which it exceeds by 1 %.
+_FIRST = [(1, 0, 1), (24, 7, 25), (12, 5, 13), (15, 8, 17), (4, 3, 5), (3, 4, 5), (8, 15, 17), (5, 12, 13), (7, 24, 25)]
+_QUADRANT = [(Fraction(x, r), Fraction(y, r)) for x, y, r in _FIRST]
+TANGENTS = [side for x, y in _QUADRANT for side in ((x, y), (-y, x), (-x, -y), (y, -x))]
+# Contacts and unknown displacements and forces up to which all choices of closed contacts are looked at in rationals.
+MOST_CLOSED, MOST_EQUATIONS = 4, 24
+# Rounding of the data could make no more of what is left unbalanced, and of overlaps, than this part of loads and gaps.
+UNBALANCED = 1e-6
+
+
+def refuse_unbalanced_in_space(problem: ContactProblem, form: LocalForm) -> None:
+    """Raise NoEquilibrium if no forces in cones around those of friction balance the load, whichever contacts close.
+
+    With the contacts of a set closed, E_N u = g there and no force elsewhere, K u + E'l + A'n = f is linear in u and
+    the forces; that l_N >= 0, |l_T| <= mu l_N in a polygon around the circle, and gaps >= 0 has no solution is proven
+    by the simplex method in rational numbers, for each set, where floats find much more missing in the local form than
+    rounding of the data. Larger problems, and those in the plane, whose combinations are listed, are not examined.
+    """
+    n, m, k = problem.dimension, problem.contacts, problem.ties
+    if problem.tangent is None or problem.friction is None or problem.tangent.shape[0] == m:
+        return
+    if m > MOST_CLOSED or n + 3 * m + k > MOST_EQUATIONS:
+        return
+    sets = list(itertools.product((True, False), repeat=m))
+    if any(_missing(form, closed) <= UNBALANCED for closed in sets):
+        return
+    columns, reachable = n + 3 * m + k, np.isfinite(problem.gap)
+    rows = sp.hstack([problem.stiffness, problem.normal.T, problem.tangent.T, problem.tie.T])
+    equations = [*_equations(rows, problem.load, columns), *_equations(problem.tie, problem.tie_value, columns)]
+    touching = _equations(problem.normal, np.where(reachable, problem.gap, 0.0), columns)
+    friction = [Fraction(mu) for mu in problem.friction.tolist()]
+    for closed in sets:
+        if np.any(~reachable & closed):
+            continue
+        held, rooms = [*equations], list[Row]()
+        for i, mu in enumerate(friction):
+            push, *drag = n + i, n + m + 2 * i, n + m + 2 * i + 1
+            if closed[i]:
+                held.append(touching[i])
+                rooms.append(_few({push: Fraction(1)}, columns))
+                rooms += [_few({push: mu, drag[0]: -x, drag[1]: -y}, columns) for x, y in TANGENTS]
+            else:
+                held += [_few({force: Fraction(1)}, columns) for force in (push, *drag)]
+                rooms += [[*(-x for x in touching[i][:-1]), touching[i][-1]]] * int(reachable[i])
+        if (found := solutions(held, columns)) is not None:
+            seen = [(found.image(room[:-1]), room[-1]) for room in rooms]
+            region = Polyhedron(
+                [at + more for (at, _), more in seen], [slope for (_, slope), _ in seen], len(found.free)
+            )
+            if not region.empty:
+                return
+    raise NoEquilibrium(
+        "whichever contacts close, no normal forces that push, with friction of at most mu times these, balance the "
+        "load, proven in rational numbers; lower the load to what friction holds, or hold the body"
+    )
+
+
+def _missing(form: LocalForm, closed: tuple[bool, ...]) -> float:
+    """Return the least t to which forces of closed contacts, in their polygons, and joints leave the law unmet.
+
+    |u_N| <= t at closed contacts, u_N >= -t at the others, |V'r + R l + s| <= t.
+    """
+    shut, columns = np.array(closed, dtype=bool), form.m * form.d + form.joints
+    W = form.W.toarray() if form.sparse else form.W
+    approach = np.hstack([W, form.V])[:: form.d]
+    balance = np.hstack([form.V.T, form.R])
+    cones = np.zeros((form.m, len(TANGENTS), columns))
+    for i in range(form.m):
+        cones[i, :, form.d * i] = -form.mu[i]
+        cones[i, :, form.d * i + 1 : form.d * i + 3] = np.array(TANGENTS, dtype=float)
+    rows = np.vstack([approach[shut], -approach, balance, -balance])
+    limits = np.concatenate([-form.q[:: form.d][shut], form.q[:: form.d], -form.s, form.s])
+    rows = np.hstack([rows, -np.ones((len(rows), 1))])
+    cones = np.hstack([cones.reshape(-1, columns), np.zeros((form.m * len(TANGENTS), 1))])
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * columns + [(0.0, None)]
+    for i in range(form.m):
+        bounds[form.d * i] = (0.0, None if shut[i] else 0.0)
+    found = highs(
+        np.append(np.zeros(columns), 1.0),
+        A_ub=np.vstack([rows, cones]),
+        b_ub=np.concatenate([limits, np.zeros(len(cones))]),
+        bounds=bounds,
+    )
+    return 0.0 if found is None else float(found.x[-1])
+
+
+def _equations(rows: Any, right: Vector, columns: int) -> list[Row]:
+    """Return rows and their right-hand sides as Fractions, zeros between them."""
+    dense = sp.csr_array(rows).toarray()
+    none = [Fraction(0)] * (columns - dense.shape[1])
+    return [[*map(Fraction, row), *none, Fraction(b)] for row, b in zip(dense.tolist(), right.tolist(), strict=True)]
+
+
+def _few(entries: dict[int, Fraction], columns: int) -> Row:
+    """Return a row with few entries, its right-hand side zero."""
+    return [entries.get(j, Fraction(0)) for j in range(columns + 1)]
 
 
 def _proven(problem: LocalProblem, weights: list[Fraction]) -> bool:

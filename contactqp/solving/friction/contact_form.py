@@ -36,7 +36,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any
-from contactqp.solving.friction.conic import balancing_forces
+from contactqp.solving.friction.conic import balancing_forces, refuse_unbalanced_in_space
 from contactqp.solving.friction.enumeration import MOST_CONTACTS
 from contactqp.solving.friction.local_form import NEARER, Deadline, Iterate, LocalForm
 from contactqp.solving.methods import Method, Settings
@@ -286,7 +286,7 @@ def solve_on_contacts(
     Raises
     ------
     NoEquilibrium
-        The constraints conflict, which is examined if no answer is found at first.
+        The constraints conflict, or no friction holds the load, which is examined if no answer is found at first.
     NotConverged
         No iterate's combination of open, stick and slip is an equilibrium.
     BackendFailed, BackendMissing, Unsupported, InvalidProblem
@@ -343,8 +343,12 @@ def _on_form(
     if algorithm is None:
         few = MOST_CONTACTS if form.d == 2 else MOST_TRIED
         attempts = len(ATTEMPTS) - (LONG_ATTEMPTS if form.m <= few else 0)
-        conflict = lambda: refuse_conflict(problem, condensation)  # noqa: E731
-        outcome = run_any(form, settings, start, accepted, conflict, attempts, MOST_TRIED)
+
+        def refuse_none() -> None:
+            refuse_conflict(problem, condensation)
+            refuse_unbalanced_in_space(problem, form)
+
+        outcome = run_any(form, settings, start, accepted, refuse_none, attempts, MOST_TRIED)
     else:
         outcome = run_algorithm(form, ALGORITHMS[algorithm], method, settings, start, accepted)
     iterate, name, nearby = outcome.iterate, outcome.name, ""
@@ -354,6 +358,7 @@ def _on_form(
     if not found and holds(problem, plain := contacts.plain(form, iterate), settings.tolerance):
         found, name = [plain], outcome.name  # with redundant contacts the refinement may fail
     if not found:
+        refuse_unbalanced_in_space(problem, form)
         raise NotConverged(
             f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
             f"{iterate.iterations} iterations{nearby}",

@@ -343,3 +343,19 @@ def test_what_refinement_leaves_of_a_force_is_no_imbalance_of_a_motion() -> None
     assert solution.certificate.passed
     np.testing.assert_allclose(solution.normal_force, [15.0, 45.0], rtol=1e-14)
     np.testing.assert_allclose(solution.friction_force.ravel(), [2.34375, 0.0, 0.0, 28.125], rtol=1e-14)
+
+
+@pytest.mark.parametrize("algorithm", [None, "nsgs"])
+@pytest.mark.parametrize(("push", "gap"), [((3.1, 0.0), 0.0), ((2.2, 2.2), 0.0), ((2.0, 0.0), 1.9)])
+def test_a_block_on_a_spring_that_friction_cannot_hold_has_no_equilibrium(
+    push: tuple[float, float], gap: float, algorithm: str | None
+) -> None:
+    """A spring of 5 bears 5 gap of the weight of 10, and the floor the rest: friction holds 0.3 (10 - 5 gap)."""
+    pulled = block(push, tangential=0.0).replace(gap=[gap])
+    on_spring = cq.ContactProblem(
+        np.diag([0.0, 0.0, 5.0]), pulled.load, pulled.normal, pulled.gap, pulled.tangent, friction=0.3
+    )
+    with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers; lower the load to what friction holds"):
+        cq.solve(on_spring, algorithm=algorithm)
+    held = 0.299 * (10.0 - 5.0 * gap) / float(np.hypot(*push))
+    assert cq.solve(on_spring.replace(load=[held * push[0], held * push[1], -10.0])).contact_status == ("stick",)
