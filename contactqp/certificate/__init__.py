@@ -1,1 +1,1 @@
-"""What an answer violates and how far it is from the truth, whatever method made it."""
+"""Certify an answer of any method: its violations, bounds on its errors, and its uniqueness."""

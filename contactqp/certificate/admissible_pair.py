@@ -1,12 +1,12 @@
-"""A displacement that penetrates nowhere and forces that pull nowhere, near a candidate, where its own set has none.
+"""Find a displacement without penetration and forces without tension near a candidate, from which `bounds` are
+computed.
 
-`bounds` are made of such a pair. The refined answer on the candidate's set of closed contacts is the solution if its
-signs hold, and the pair. Where they do not, the set is corrected, or another is looked for; where no set is found, the
-candidate itself is repaired: its contacts closed, its tensions dropped. However the pair was found, it is judged by the
-problem alone.
+The refined answer on the candidate's set of closed contacts is the solution, and the pair, if its signs hold. Otherwise
+the set is corrected, or another one searched; if no set is found, the candidate is repaired by closing its contacts and
+removing tensions. The bounds hold for any admissible pair, however it was found.
 
-The least displacements and forces of a repair are found from the rows themselves: products of rows with each other
-would lose half of the digits that tell nearly dependent rows apart.
+The least displacements and forces of a repair are computed from the rows, as products of rows with each other would
+lose half of the digits of nearly dependent ones.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Least-distance programming ends with less than this where the conditions conflict: the rounding of its last equation.
+# Least-distance programming shows a conflict by a last residual below this, the rounding of its equation.
 CONFLICT = 1e-14
 
 
 def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
-    """Minimise |w| over rows w <= -excess, ties w = 0; None where these conflict or too many steps are needed.
+    """Minimise |w| over rows w <= -excess, ties w = 0; None if these conflict or too many steps are needed.
 
     Least-distance programming (Lawson and Hanson 1974, chapter 23): with G = -rows, h = excess and r the residual of
     min |[G'; h'] y - (0; 1)| over y >= 0, w_j = -r_j / r_last.
@@ -65,7 +65,7 @@ def least_retreat(rows: Array, ties: Array, excess: Vector) -> Vector | None:
 
 
 def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
-    """Minimise |rows' l + ties' n - resultant| over l >= 0; None where too many steps are needed."""
+    """Minimise |rows' l + ties' n - resultant| over l >= 0; None if too many steps are needed."""
     size = np.linalg.norm(rows, axis=1)
     matrix = np.hstack([(rows / size[:, None]).T, ties.T, -ties.T])
     share, residual = nonnegative_least_squares(matrix, resultant)
@@ -74,18 +74,18 @@ def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
     return np.asarray(share[: len(rows)] / size)
 
 
-# A gap or a force of this part of its lengths or of the largest force is taken for none in a candidate of engineering
+# Gaps relative to their lengths, and forces relative to the largest, that count as zero in a candidate of engineering
 # accuracy.
 TOUCHING = 1e-6
-# Sweeps of refinement that close contacts: the residual contracts by eps * condition number in each.
+# Sweeps of refinement that close contacts; each reduces the residual by eps * condition number.
 CLOSING_SWEEPS = 4
-# A gap beneath this part of its lengths is zero in extended precision too.
+# A gap below this part of its lengths is zero also in extended precision.
 ZERO_GAP = 2.0**-90
-# What the forces on a rigid motion may leave of each other, when each is rounded once or twice.
+# The resultant of balanced forces on a rigid motion by one or two roundings of each.
 LEFT_BY_ROUNDING = 4 * EPS
-# The part of an excess that a displacement in double precision may leave of it.
+# The part of an excess that may remain after a displacement in double precision.
 MISSED = 1e-6
-# What leaves less of it is no conflict of rows that depend on each other, which leaves half at least.
+# With a smaller remainder the dependent rows do not conflict, which would leave at least half.
 ROUGHLY = 0.25
 
 
@@ -101,26 +101,26 @@ class AdmissiblePair:
     open_gap: Array  # (m,) g - E v
     saddle: SaddlePoint  # of the contacts that were closed for v
     exact: bool  # v and l are the solution, to rounding
-    cleared: float  # the part of the forces that K's rounding along rigid motions would have made
-    undecided: float  # what the contacts that touch or push by no more than rounding leave open [root of energy]
+    cleared: float  # relative forces by rounding of K along rigid motions
+    undecided: float  # the uncertainty by contacts with gap or force of rounding size [root of energy]
 
 
 class Unproven(Exception):
-    """No pair is found, for the reason that the exception states."""
+    """No pair was found; the exception states the reason."""
 
 
 class Undecided(Unproven):
-    """Nothing can be proven in the digits of doubles, whatever the answer."""
+    """Nothing can be proven in double precision, whatever the answer."""
 
 
 def refuse_unbalanced(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
 ) -> None:
-    """Raise Undecided where the pair's forces leave more of the load on a rigid motion than rounding makes.
+    """Raise Undecided if the pair's forces are unbalanced on a rigid motion beyond rounding.
 
-    Up to `BALANCED` of all forces such a rest counts as nothing, and so do contact forces that might carry it; then the
-    pair is that of another load, and its distance from the solution says nothing of them. Of a refined pair extended
-    precision tells what is left beyond K's own rounding, even of a rigid motion that doubles hardly know.
+    An imbalance up to `BALANCED` of all forces counts as zero, as do contact forces that might carry it; the pair then
+    belongs to another load, and its distance from the solution does not include them. For a refined pair the imbalance
+    beyond rounding of K is computed in extended precision.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def refuse_unbalanced(
         stiffness = (condensation.cleared_rows(problem) if pair.cleared else rows).stiffness
         left = abs((onto @ (outer - stiffness @ solution)).double())
         rounded = EPS * abs(motions).T @ (problem.stiffness_sizes @ abs(forces.displacement))
-        if problem.ties or pair.saddle.redundant:  # then forces are shared among dependent rows in doubles
+        if problem.ties or pair.saddle.redundant:  # forces are then distributed over dependent rows in doubles
             rounded = np.maximum(rounded, LEFT_BY_ROUNDING * size)
         beyond |= left > rounded
     refined = replace(forces, displacement=np.maximum(abs(answer.displacement), abs(forces.displacement)))
@@ -155,9 +155,9 @@ def refuse_unbalanced(
 def refuse_conflicting_ties(
     problem: ContactProblem, answer: Answer, condensation: Condensation, change: Extended
 ) -> None:
-    """Raise Undecided where the answer, changed to meet independent ties, misses one that depends on these.
+    """Raise Undecided if the answer, changed to satisfy independent ties, violates a dependent one.
 
-    It contradicts them by rounding and is set aside: what the bounds are about has another value there.
+    This tie contradicts the others by rounding and is left out, so that the bounds concern another value of it.
 
     Parameters
     ----------
@@ -175,18 +175,18 @@ def refuse_conflicting_ties(
 
 
 def believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -> tuple[Indices, ...]:
-    """Return the contacts closed by gap or by force alone, should these disagree; `compliance` (m,) is W_ii."""
+    """Return the sets of contacts closed by gap and by force, if they differ; `compliance` (m,) is W_ii."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
     touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
     size = force * np.sqrt(compliance)
     pushing = np.flatnonzero(size > TOUCHING * abs(size).max(initial=0.0))
-    acting = np.flatnonzero(abs(size) > TOUCHING * abs(size).max(initial=0.0))  # of the wrong sign, perhaps
+    acting = np.flatnonzero(abs(size) > TOUCHING * abs(size).max(initial=0.0))  # possibly of the wrong sign
     return touching, pushing, acting
 
 
 def searched_set(problem: ContactProblem, condensation: Condensation) -> Indices | None:
-    """Find the closed contacts by a finite method, where corrections of sets cycle; None if bodies float."""
+    """Return the closed contacts by a finite method, if corrections of sets cycle; None if bodies float."""
     if condensation.rigid.count:
         return None
     operator = condensation.delassus
@@ -200,11 +200,11 @@ def searched_set(problem: ContactProblem, condensation: Condensation) -> Indices
 
 
 def without_tension(problem: ContactProblem, condensation: Condensation, force: Extended) -> tuple[Extended, Extended]:
-    """Return the change of contact forces (m,) and tie forces (k,) that leaves no contact in tension.
+    """Return the change of contact forces (m,) and tie forces (k,) that removes all tensions.
 
-    On a body that floats the forces that stay must balance without it: those that push change by the least that does.
-    With l + d >= 0 on contacts that are closed for v, the response of d is all that parts v from w: it is in (1).
-    Where nothing that pushes can take the part of a tension, this is the rounding of a load that balances to rounding.
+    On a floating body the remaining forces must balance without the tensions, so positive forces change by the least
+    amount. With l + d >= 0 on contacts that are closed for v, v and w differ only by the response of d, which is in
+    (1). If no positive force can replace a tension, this is rounding of a balanced load.
     """
     push = force.double()
     dropped, tie_change = (-force).positive_part(), extend(np.zeros(problem.ties))
@@ -225,10 +225,10 @@ def without_tension(problem: ContactProblem, condensation: Condensation, force: 
 
 
 def of_noise(problem: ContactProblem, condensation: Condensation, on_set: OnSet, length: Vector) -> float:
-    """Bound the distance that gaps which are zero in extended precision alone leave open, where contacts are dependent.
+    """Bound the uncertainty by dependent contacts whose gaps are zero only to extended precision.
 
-    Which of them push is decided there: forces l over gaps d, of the one sign or the other, leave sqrt(2 l'd) open.
-    Gaps are measured by the lengths that meet, or by the intrinsic size where nothing but rounding does.
+    Forces l over gaps d of undecided sign leave an uncertainty of sqrt(2 l'd). Gaps are relative to the lengths that
+    meet, or to the intrinsic size if these are rounding.
 
     Parameters
     ----------
@@ -255,8 +255,8 @@ def of_penetration(
     the other closed contacts, A w = 0. Then u* - w is the solution in these gaps under the load f - K w, and the
     solution depends on the load with constant one in the energy norm: |u* - u'| <= 2 |w|.
 
-    Where contacts depend on each other there may be no such w. For any with E w <= -d, A w = 0 the displacement u' + w
-    is admissible, and u* is so in the wider gaps, where u' has the forces l':
+    With dependent contacts there may be no such w. For any with E w <= -d, A w = 0 the displacement u' + w is
+    admissible, and u* is so in the wider gaps, where u' has the forces l':
 
         |u* - u'|^2 <= 2 J(u*) - 2 J(u') <= 2 J(u' + w) - 2 J(u') = |w|^2 - 2 l'E w
 
@@ -269,7 +269,7 @@ def of_penetration(
     Raises
     ------
     Undecided
-        Neither displacement exists: contacts that are dependent to rounding conflict by more than refinement leaves.
+        Neither displacement exists, as nearly dependent contacts conflict by more than rounding of the refinement.
     """
     closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
     measure = np.where(length > 0, length, 1.0)[closed]
@@ -292,7 +292,7 @@ def of_penetration(
             return _by_retreat(problem, condensation, on_set, retreat, closed, abs(left) <= MISSED)
     far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
     closing = condensation.expand(condensation.scale * far, unloaded)
-    # What refinement may have left of a gap is no conflict either: its last correction is in the radius.
+    # A gap within the last correction of refinement is no conflict, as that is part of the radius.
     refined = bool(np.all(excess <= on_set.nothing[: len(excess)]))
     if refined or np.max(abs(left_by(closing))) <= ROUGHLY:
         return 2 * sum(energy_norm(problem, extend(closing)))
@@ -309,8 +309,8 @@ def _by_retreat(
 ) -> float:
     """Return the smaller of two bounds by a displacement w with E w <= -d, E w = -d on the contacts of `exactly`.
 
-    One is that of `of_penetration`. The other: forces l on contacts of `exactly` alone, with the response of l', make
-    u' the solution in the gaps g - E w too, and |u* - u'| <= 2 |w|; what is left of their response, |l' - l|_W, is
+    One is that of `of_penetration`. For the other, forces l on contacts of `exactly` only, with the response of l',
+    make u' the solution also in the gaps g - E w, and |u* - u'| <= 2 |w|; the difference of responses, |l' - l|_W, is
     added.
     """
     force, held = on_set.normal_force.positive_part(), closed[exactly]
@@ -342,7 +342,7 @@ def from_repair(problem: ContactProblem, answer: Answer, condensation: Condensat
     gap = (extend(problem.gap) - rows.normal @ (extend(answer.displacement) + to_feasible)).double()
     held = np.zeros(problem.contacts, dtype=bool)
     held[saddle.closed] = True
-    if saddle.redundant:  # what depends on others may stay apart
+    if saddle.redundant:  # dependent contacts may stay open
         refuse_conflicting_ties(problem, answer, condensation, to_feasible)
         dependent = np.delete(saddle.closed, saddle.independent[saddle.independent < len(saddle.closed)])
         length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
@@ -368,7 +368,7 @@ def from_repair(problem: ContactProblem, answer: Answer, condensation: Condensat
 def _close(
     problem: ContactProblem, answer: Answer, condensation: Condensation, closed: Indices
 ) -> tuple[Extended, SaddlePoint]:
-    """Return the displacement nearest in energy that closes a set, which grows by the contacts it penetrates."""
+    """Return the nearest displacement in energy that closes a set, enlarged by the contacts that it penetrates."""
     rows = extended_rows(problem)
     start = extend(answer.displacement)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
@@ -393,7 +393,7 @@ def _close(
 def _admissible_forces(
     problem: ContactProblem, answer: Answer, condensation: Condensation
 ) -> tuple[Extended, Extended]:
-    """Return the candidate's forces without tension, changed least to balance the load on every rigid motion."""
+    """Return the candidate's forces without tension, with the least change that balances every rigid motion."""
     force, tie = np.maximum(answer.normal_force, 0.0), answer.tie_force
     Z = condensation.rigid.basis
     if not Z.shape[1]:
@@ -415,7 +415,7 @@ def _admissible_forces(
 def bounds_apart(problem: ContactProblem, answer: Answer, elastic: Mask, condensed: Callable[..., Any]) -> Any:
     """Return the bounds of elastic parts, and those on single contact forces in the other parts.
 
-    In the others every displacement and force has the energy norm zero; the rounding of what meets there is no energy.
+    In the others every displacement and force has zero energy norm.
 
     Parameters
     ----------
@@ -466,7 +466,7 @@ def _part(problem: ContactProblem, unknowns: Indices, contacts: Indices, ties: I
 
 
 def conflict_of_constraints(problem: ContactProblem, condensation: Condensation) -> str | None:
-    """Return which constraints conflict, in words, where it is proven that some do: then no answer is right."""
+    """Return a text on constraints that provably conflict, so that no answer is right, else None."""
     try:
         refuse_conflict(problem, condensation)
     except NoEquilibrium as conflict:
@@ -477,10 +477,10 @@ def conflict_of_constraints(problem: ContactProblem, condensation: Condensation)
 def out_of_balance(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair, active: Indices
 ) -> Vector:
-    """Return the imbalance that rounding leaves on rigid motions, as forces (q,) of the active contacts.
+    """Return the imbalance by rounding on rigid motions, as forces (q,) of the active contacts.
 
-    No gap changes such forces, so that (4) does not contain them. Refined forces are balanced to FINE_EPS of all
-    that meet, |K||u| of a large motion included, those of a repair to eps of the outer forces.
+    Such forces do not change gaps and are therefore not in (4). Refined forces are balanced to FINE_EPS of all forces
+    that meet, including |K||u| of a large motion, those of a repair to eps of the outer forces.
 
     Parameters
     ----------
@@ -493,6 +493,6 @@ def out_of_balance(
     forces = Answer(solution, pair.force.double(), None, pair.tie_force.double())
     imbalance = FINE_EPS * forces_that_meet(problem, forces) if pair.exact else EPS * outer_forces(problem, forces)
     rows, weight = rows_on_motions(problem, condensation, active)
-    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows that a motion does not move
+    rows[abs(rows) <= UNRESISTED] = 0.0  # rounding of rows orthogonal to a motion
     share = np.linalg.pinv(rows.T, rcond=UNRESISTED) @ np.diag(abs(motions).T @ imbalance)
     return np.asarray((weight * np.sum(abs(share), axis=1))[: len(active)])

@@ -1,7 +1,7 @@
-"""What rigid motions do to an answer: the balance of bodies that float, and what the rounding of K along them makes.
+"""Measure the balance of floating bodies, and the effect of rounding of K along rigid motions.
 
-`balance` is the work that the outer forces of every body do on its rigid motions, relative to that of their sizes. K,
-being rounded, makes forces and strain of a rigid motion, which the norms of displacements and forces allow for.
+`balance` is the work of the outer forces of every body on its rigid motions, relative to that of their sizes. By
+rounding of K a rigid motion causes forces and strain, for which the norms of displacements and forces allow.
 """
 
 from __future__ import annotations
@@ -34,39 +34,38 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Rounding of K makes so many times the contact forces that one sample of it does, at most.
+# The largest contact forces by rounding of K, in multiples of one sample.
 PUSHED_BY_ROUNDING = 8.0
-# Forces that K makes of rigid motions, as a part of all: more of them may be what resists these, and not rounding.
+# Relative forces K z of rigid motions above which a real resistance is possible.
 RESISTED = 1e-9
-# Resultants below this part of the forces are zero in double precision; which motion is worst is then not asked.
+# Resultants below this part of the forces are zero in double precision, and the worst motion is not searched.
 NO_RESULTANT = 1e-14
-# A motion along which K's rounding makes up this part of the forces cannot be judged by them.
+# If forces by rounding of K exceed this part of all forces along a motion, its balance cannot be judged.
 NOTHING_BUT_ROUNDING = 0.1
-# What K's rounding makes of a rigid motion is forgiven up to this part of the forces: beyond, a resultant is wrong,
-# whoever carries the rest.
+# Forces by rounding of K are subtracted from a resultant up to this part of the forces.
 FORGIVEN = 1e-6
-# Combinations of motions on which the forces of a body do this part of the work of the others are one motion twice.
+# Combinations of motions on which the work is below this part of that on others are dependent.
 SAME_MOTION = 1e-10
-# Forces that do this part of the work of the others on a motion act on it.
+# Forces act on a motion if their work exceeds this part of that of the others.
 ACTING = 1e-6
-# HiGHS ends without an answer where the first is beneath its rounding. The figure of the direction that is found is
-# formed anew: a direction that is best to 1e-7 has one that is too small by 1e-7 of itself.
+# The tolerance of HiGHS, which must be above its rounding. The figure is recomputed for the direction found; a relative
+# error of 1e-7 makes it too small by 1e-7.
 LP_TOLERANCES = (1e-10, 1e-7)
-# Up to so many contacts that touch and ties their dependence is looked at, in dense matrices.
+# The number of closed contacts and ties up to which their dependence is examined by dense matrices.
 MOST_SHARING = 1000
-# Forces that differ by this part of their size count as alike: a thousandth of what their errors may be.
+# Forces are equal if they differ by less than this part, a thousandth of their error tolerance.
 SHARED_ALIKE = 1e-9
-# The part of what loads and gaps strain that rounding in extended precision may hide.
+# The largest rounding in extended precision relative to the strain by loads and gaps.
 HIDDEN = 1e-6
-# A force that is this part of others in its part of the problem is zero in extended precision too.
+# A force below this part of others in its part of the problem is zero also in extended precision.
 NO_FORCE = 2.0**-90
 
 
 def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
-    """Return what extended precision rounds the forces to (n,) that come from elsewhere in each part [force].
+    """Return the rounding in extended precision of forces (n,) from elsewhere in each part [force].
 
-    A tie may hold a massless unknown to a loaded one without a force. In a part without stiffness forces are compared
-    with the largest by what rows make of them.
+    A tie may connect an unknown without stiffness to a loaded one without a force. In a part without stiffness forces
+    are compared by their effect on rows.
     """
     D, part = scale_through_rows(problem), parts(problem)
     most = np.zeros(int(part.max(initial=-1)) + 1)
@@ -83,7 +82,7 @@ def work_that_meets(problem: ContactProblem, answer: Answer) -> float:
     moved = abs(answer.displacement)
     lengths = row_sizes(problem, problem.normal).lengths(moved) + abs(problem.gap)
     tied = row_sizes(problem, problem.tie).lengths(moved) + abs(problem.tie_value)
-    pushing = answer.normal_force != 0  # gaps of others may be infinite
+    pushing = answer.normal_force != 0  # other gaps may be infinite
     contacts = abs(answer.normal_force[pushing]) @ lengths[pushing]
     return float(abs(problem.load) @ moved + contacts + abs(answer.tie_force) @ tied)
 
@@ -101,10 +100,10 @@ def strain_of(
     condensation: Condensation,
     forces: tuple[Extended, Extended] | None,
 ) -> tuple[float, float]:
-    """Return |u*|_K of the solution, or of the nearest displacement known, and its uncertainty where bodies float.
+    """Return |u*|_K of the solution, or of the nearest known displacement, and its uncertainty if bodies float.
 
-    Where a rigid motion hides the strain even in extended precision, it is that of the response to all forces, which
-    does not move rigidly.
+    If a rigid motion hides the strain even in extended precision, the response to all forces is used, which has no
+    rigid part.
 
     Parameters
     ----------
@@ -145,16 +144,16 @@ def free_distance(
         elastic, missing = response(problem, condensation, forces, tied=False)
         resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)
     size = abs(motions @ (motions.T @ apart.double()))
-    # More than K's rounding may make of a rigid motion it is not: see `is_rigid`.
+    # It is limited by the energy of a rigid motion by rounding of K (`is_rigid`).
     most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
     return min(max(distance - resisted, 0.0), most)
 
 
 def hides_strain(problem: ContactProblem, displacement: Vector, rigid: RigidMotions, size: float, left: float) -> bool:
-    """Return whether the rounding of a displacement along rigid motions hides all that loads and gaps strain.
+    """Return whether the rounding of a displacement along rigid motions hides the strain by loads and gaps.
 
-    Without friction it is what residuals hide in extended precision, of which a part of 1e-6 is too much. With
-    friction, where an answer is compared with that of its own combination, it is what a displacement in doubles hides.
+    Without friction it is the rounding of residuals in extended precision, at most 1e-6 of the strain. With friction,
+    where an answer is compared with that of its own states, it is the rounding of a displacement in doubles.
 
     Parameters
     ----------
@@ -174,12 +173,12 @@ def shared_by_rounding(
     cleared: float,
     push: Vector,
 ) -> tuple[Vector, float, bool]:
-    """Return sizes (m,) of the contact forces that K's rounding along rigid motions may make, and their energy norm.
+    """Return bounds (m,) of the contact forces by rounding of K along rigid motions, their energy norm, and their
+    validity.
 
-    On the closed contacts they balance the forces that K makes of the rigid part of a displacement. There are none if
-    K was cleared of them because the motions are stated, which are exact. More than `RESISTED` may be what resists the
-    motions: then it is not sure that they are rigid, and if they are, the resultants of these forces are none, so that
-    forces that equilibrium alone determines do not feel them. Last is returned whether it is sure.
+    On the closed contacts they balance K z of the rigid part z of a displacement. They are zero if K was cleared of
+    them for stated motions, which are exact. Beyond `RESISTED` the motions may have a real resistance, and the bounds
+    are not certain; if they are rigid, these forces have no resultant and do not affect statically determined forces.
 
     Parameters
     ----------
@@ -204,7 +203,7 @@ def shared_by_rounding(
 
 
 def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:
-    """Return the forces (n,) that K, being rounded, makes of the rigid part of a displacement."""
+    """Return K z (n,) of the rigid part z of a displacement, which is due to rounding of K."""
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
     forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
     return np.asarray(forces @ condensation.rigid.coordinates(displacement, problem.diagonal))
@@ -213,9 +212,9 @@ def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
 def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: Vector | None = None) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
 
-    By duality it is the least part t of the outer forces by which each of them may be changed so that forces and
-    moments of every body balance: a linear program with as many unknowns as one body has rigid motions, whose answer
-    depends on no choice of basis, unit or scale.
+    By duality it is the least relative change t of each outer force after which forces and moments of every body
+    balance, a linear program with as many unknowns as one body has rigid motions. It is independent of basis, units and
+    scales.
 
     Parameters
     ----------
@@ -231,14 +230,13 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
     rows = extended_rows(problem)
     force, tie = extend(answer.normal_force), extend(answer.tie_force)
     outer = extend(problem.load) - rows.contact_force(force, tie) - rows.friction_force(answer.friction_force)
-    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    # K z is zero up to rounding of K, whose effect is not a lack of balance.
     stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
     size = outer_forces(problem, answer)
     if none is not None and not problem.load_size.any() and np.all(size <= none):
         return 0.0
     body, moved = bodies(problem), that_move(problem, rigid.motions)
-    # A displacement so far out that its rounding hides the forces: bounds tell what it is worth, and with friction
-    # there are none.
+    # If rounding of a large displacement hides the forces, bounds decide, which do not exist with friction.
     hidden = 1.0 if problem.frictional else 0.0
     worst = 0.0
     for b in np.unique(body[np.any(rigid.motions != 0, axis=1)]):
@@ -246,10 +244,10 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
         moving = np.any(rigid.motions[members] != 0, axis=0)
         motions = moved[np.ix_(members, moving)]
         if not np.any(motions * size[members, None]):
-            continue  # nothing acts where the body moves
+            continue  # no force acts on the moving unknowns
         idle = not problem.load_size[members].any() or np.all(untouched(problem)[members])
         if idle and none is not None and np.all(size[members] <= none[members]):
-            continue  # rounding that a tie brings, or the component of a load across what bears it, F sin(pi)
+            continue  # rounding by a tie, or of a load component such as F sin(pi)
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])
         worst = max(worst, _worst_resultant(motions, work, stray[moving] + mixed, size[members], hidden))
@@ -257,7 +255,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
 
 
 def _left_of_stiffness(problem: ContactProblem, rigid: RigidMotions) -> Array:
-    """Return |K z| (r, n) of the rigid motions, which is formed once for a stiffness."""
+    """Return |K z| (r, n) of the rigid motions, formed once for a stiffness."""
     cached = problem._computed.rounding_of_motions
     if cached is None or cached[0] is not rigid:
         forces = rigid.forces
@@ -277,16 +275,16 @@ class Resultants:
     """
 
     weight: Array  # (p, r) the motions of each coordinate
-    strength: Vector  # (p,) how much force acts along it, of the most
+    strength: Vector  # (p,) force along each coordinate, relative to the largest
     work: Vector  # (p,) on each
-    stray: Vector  # (p,) what K's rounding may make of that
+    stray: Vector  # (p,) its possible rounding by K
 
     def unseen(self, forces: Vector, hidden: float) -> bool:
-        """Return whether the rounding of K hides a resultant that is notable; `forces` (p,) are the sums of |w_j|."""
+        """Return whether the rounding of K hides a notable resultant; `forces` (p,) are the sums of |w_j|."""
         return bool(hidden and np.any(~self.seen(forces) & (self.strength > ACTING)))
 
     def seen(self, forces: Vector) -> Mask:
-        """Return along which motions forces act by more than the rounding of K."""
+        """Return along which motions forces exceed the rounding of K."""
         return np.asarray(self.stray < NOTHING_BUT_ROUNDING * forces)
 
     def worst(self, forces: Vector) -> float:
@@ -318,7 +316,7 @@ def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Res
 
 
 def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
-    """Return max over a of (|work'a| - stray'|a|) / |motions a|'size, or `hidden` where rounding hides the forces."""
+    """Return max over a of (|work'a| - stray'|a|) / |motions a|'size, or `hidden` if rounding hides the forces."""
     left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
     found = resultants(values, right, work, stray)
     basis = left[:, : len(found.work)]
@@ -355,12 +353,11 @@ def _worst_direction(basis: Array, weight: Vector) -> Vector:
 
 
 def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius: float) -> tuple[Extended, Extended]:
-    """Return the solution's forces of contacts (m,) and ties (k,) that are nearest to an answer's.
+    """Return the forces of contacts (m,) and ties (k,) of the solution that are nearest to an answer's.
 
-    Contacts that touch and ties that depend on each other share their forces in many ways, with one R'y, R their rows
-    in units of unknowns in which S has a unit diagonal, of unit length, and y their forces over the weights of the
-    rows. No contact pulls in any of them. The forces that were found are returned where others would differ by less
-    than `SHARED_ALIKE`, where no rows depend on others, and of very many rows.
+    Dependent closed contacts and ties admit many forces without tension with the same R'y, R their unit rows in units
+    in which S has a unit diagonal, and y their forces over the weights of the rows. The known forces are returned if
+    others differ by less than `SHARED_ALIKE`, if no rows are dependent, or if there are too many rows.
 
     Parameters
     ----------
@@ -385,7 +382,7 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
     size = np.concatenate([forces[0].double()[touching], forces[1].double()]) / weight
     least = np.where(np.arange(len(size)) < count, -np.maximum(size, 0.0), -np.inf)
     shared = _shared_alike(rows, difference, least)
-    # Across the rounding of a gap forces do work, by which the bound of the displacement grows.
+    # Forces do work on the rounding of gaps, which is added to the bound of the displacement.
     if np.linalg.norm(shared) <= SHARED_ALIKE * np.linalg.norm(size):
         return forces
     change = shared * weight
@@ -393,10 +390,10 @@ def nearest_to(answer: Answer, condensation: Condensation, on_set: OnSet, radius
 
 
 def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
-    """Return forces y (q,) >= least near to those wanted for which R y = 0, where R (p, q) has columns of unit length.
+    """Return forces y (q,) >= least near `wanted` with R y = 0, where R (p, q) has unit columns.
 
-    Those that would be less are held at the least, one set after the other; where the others cannot balance them, the
-    step to the nearest forces of any sign ends where the first is least.
+    Forces below the least are fixed at it, one set after the other; if the others cannot balance them, the step to the
+    nearest forces of any sign ends where the first one reaches the least.
     """
     held, first = np.zeros(len(wanted), dtype=bool), np.zeros(len(wanted))
     for turn in range(len(wanted)):
@@ -416,7 +413,8 @@ def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
 
 
 def rows_on_motions(problem: ContactProblem, condensation: Condensation, active: Indices) -> tuple[Array, Vector]:
-    """Return how far rigid motions move the active contacts and all ties, (q + k, r), and the weights of these rows.
+    """Return the displacements of active contacts and all ties by rigid motions, (q + k, r), and the weights of these
+    rows.
 
     Each row is multiplied by its weight 1/sqrt(W_ii), so that forces over their weights are roots of energy.
     """

@@ -1,4 +1,4 @@
-"""How far an answer is from the truth: proven bounds for frictionless problems.
+"""Prove bounds on the distance of an answer from the solution, for problems without friction.
 
 Let |v|_K^2 = v'Kv, u* the solution and l*, nu* its forces. For any v that satisfies E v <= g, A v = b and any forces
 l >= 0, nu with balanced resultants, let w solve K w = f - E'l - A'nu. With J the energy and D the dual energy,
@@ -31,8 +31,8 @@ candidate is its distance to the pair and the pair's own.
 Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
 large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
 s q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 nothing is proven and the reason
-is given. What contacts leave undecided that touch or push by rounding alone is added too. Where bodies float, norms
-are taken with K's rounding along rigid motions and without, and the worse one counts. This is an a-posteriori estimate
+is given. The uncertainty by contacts with gap or force of rounding size is added, too. If bodies float, norms are
+computed with and without rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate
 of rounding, not an interval enclosure.
 """
 
@@ -83,20 +83,20 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
-# Errors whose energy norm is this part of the displacement's are what refinement leaves of zero.
+# Errors with an energy norm below this part of the displacement's are rounding of the refinement.
 VANISHING = 1e-22
-# Corrections of each set that the candidate may mean, and of the first when all of them have failed.
+# Corrections of each possible set of the candidate, and of the first one after all have failed.
 CORRECTIONS, LAST_CORRECTIONS = 3, 50
-# Forces of this part of the displacement's energy norm have an absolute error, and the other way round.
+# Forces below this part of the displacement's energy norm have absolute errors, and vice versa.
 NEXT_TO_NOTHING = 1e-12
-# A strain up to so many times that of the rigid part alone may be made by K's rounding.
+# A strain up to this multiple of that of the rigid part may be due to rounding of K.
 STRAINED_BY_ROUNDING = 16.0
-# Why the forces of single contacts have no bound, though their resultants have one.
+# The reason why forces of single contacts have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
-# What to do where K's rounding makes forces of rigid motions, of which redundant contacts take any share.
+# Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
 STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
-# Condensed unknowns beyond which the dense systems of the bounds would not fit a workstation.
+# The most condensed unknowns for the dense systems of the bounds.
 LARGEST = 8000
 
 
@@ -108,18 +108,18 @@ class Bounds:
     force_error: float | None = None
     force_bound: Vector | None = None
     relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W or, if known, / largest_force
-    energy_scale: float = 0.0  # |u*|_K or what is known of it
+    energy_scale: float = 0.0  # |u*|_K or a lower bound
     force_scale: float = 0.0  # |l*|_W likewise
     largest_force: float = 0.0  # max |l*_i| |E_i D|, D = 1/sqrt(K_jj), without friction; |l*|_W has rigid responses
     ties: tuple[float, float] = (0.0, 0.0)  # max |nu_i - nu*_i| |A_i D|, max |nu*_i| |A_i D|, if contacts have none
-    rounding: float = 0.0  # what the refinement cannot tell from zero
-    rigid_rounding: float = 0.0  # the energy norm that the rounding of a rigid displacement has
-    force_rounding: float = 0.0  # |l|_W beneath this is the rounding of forces that the bodies do not feel
-    free_distance: float = 0.0  # what K's rounding makes of a free motion between the answer and the solution
+    rounding: float = 0.0  # the rounding of the refinement
+    rigid_rounding: float = 0.0  # the energy norm of the rounding of a rigid displacement
+    force_rounding: float = 0.0  # |l|_W below this is rounding of forces that do not strain the bodies
+    free_distance: float = 0.0  # the energy norm, by rounding of K, of a free motion between answer and solution
     cleared: float = 0.0  # the part of the forces that K's rounding along rigid motions would have made
-    shared: float = 0.0  # the part of `force_error` that this rounding may make of how closed contacts share forces
-    undecided: float = 0.0  # the part of the distance that touching contacts leave open: gaps as doubles do not tell
-    estimated: bool = False  # by Ritz values, nothing being factorised, or for a K without what it resists by rounding
+    shared: float = 0.0  # the part of `force_error` that this rounding may cause in redundant forces
+    undecided: float = 0.0  # the part of the distance by undecided gaps
+    estimated: bool = False  # whether estimated by Ritz values, or for a K set to zero along rigid motions
     solution: Extended | None = None  # u*, to its last digits, where the signs on its contact set hold
     energy_bounds: tuple[float, float] | None = None  # lower <= J* <= upper, upper that of the answer
     energy_size: float = 0.0  # the larger of 1/2 u'Ku and |f'u|
@@ -127,10 +127,10 @@ class Bounds:
     determined: str = BY_DISPLACEMENT
     scope: str | None = None  # with friction: "global", or "local", the only equilibrium within `radius`
     radius: float | None = None
-    free: bool = False  # whether bodies may move rigidly where "local" holds
-    by_energy: bool = False  # whether the energy is what an answer is judged by: K does not see everything
-    apart: float | None = None  # |u - U|_K over |U|_K from the solution U that was found, there, if K has factors
-    suspicious: str | None = None  # why no bound could be had, where that speaks against the answer
+    free: bool = False  # whether "local" holds up to rigid motions
+    by_energy: bool = False  # whether the answer is judged by its energy, as K is singular
+    apart: float | None = None  # |u - U|_K over |U|_K for the solution U found, in this case, if K has factors
+    suspicious: str | None = None  # reason for the lack of a bound, if it counts against the answer
     reasons: tuple[str, ...] = ()
 
     @cached_property
@@ -208,7 +208,7 @@ def admissible_pair(
     condensation : that of the problem
     """
     pair = _nearest_pair(problem, answer, residual, condensation)
-    if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive nothing
+    if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive no motion
         refuse_unbalanced(problem, answer, condensation, pair)
     return pair
 
@@ -243,7 +243,7 @@ def _holding(
 ) -> OnSet | None:
     """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
 
-    Refinement starts from an answer, unless that is so far away that its rounding hides the gaps.
+    Refinement starts from an answer, unless that is so large that its rounding hides the gaps.
     """
     on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
     if on_set.contraction >= CONTRACTION:
@@ -254,13 +254,13 @@ def _holding(
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
-    """Return the pair of a refined answer whose signs hold: the solution up to its last correction and `undecided`."""
+    """Return the pair of a refined answer with right signs, the solution up to its last correction and `undecided`."""
     force, tie_force, undecided = on_set.normal_force, on_set.tie_force, _undecided(problem, condensation, on_set)
-    shared = 0.0  # what another sharing of the forces strains, by rounding
-    # Entries of size s in the square root of energy make at most s sqrt(nnz(K)) of displacement and s m of forces.
+    shared = 0.0  # strain by redistribution of redundant forces, by rounding
+    # Entries of size s [root of energy] have norms of at most s sqrt(nnz(K)) as displacement and s m as forces.
     entries = np.sqrt(problem.stiffness_sizes.size) + problem.contacts
     allowance = entries * on_set.remainder + residual_noise(problem, on_set.doubles) + undecided
-    if problem.ties:  # of the forces of rows that depend on each other
+    if problem.ties:  # forces of dependent rows
         refuse_conflicting_ties(problem, answer, condensation, on_set.displacement - extend(answer.displacement))
         force, tie_force = nearest_to(answer, condensation, on_set, allowance)
         shared = force_norm(problem, condensation, force - on_set.normal_force)[0]
@@ -308,26 +308,26 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
     (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
-    moved = solution.double() if floats and pair.exact else answer.displacement  # which may be far from the solution
+    moved = solution.double() if floats and pair.exact else answer.displacement  # may be far from the solution
     farther = replace(answer, displacement=np.maximum(abs(answer.displacement), abs(moved))) if floats else answer
     rounding = 4 * residual_noise(problem, farther) + VANISHING * energy_scale
     size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
     if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
         uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
-        rigid = max(rigid, 2 * uncertain)  # the answer may be strained as much
+        rigid = max(rigid, 2 * uncertain)  # the answer may have the same strain
     if pair.exact and energy_scale <= pair.radius and not (problem.load.any() or push.any()):
-        rounding = max(rounding, 4 * pair.dual_radius)  # without a load what is admissible and not strained solves
+        rounding = max(rounding, 4 * pair.dual_radius)  # without load, all admissible rigid displacements solve
     hidden = uncertain > rounding and energy_scale <= uncertain
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
-    # Forces that act on rigid motions or on what ties hold strain nothing, in doubles next to nothing.
+    # Forces on rigid motions or tied unknowns cause no strain, up to rounding.
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
     free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
     vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
     error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing)
-    # So is a strain that is nothing beside that of the contact forces, which the load balances where it acts.
+    # So does a strain that is negligible beside that of contact forces, which the load balances directly.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
-    elastic = problem.diagonal.any()  # else every displacement and every force has the energy norm zero
+    elastic = problem.diagonal.any()  # otherwise all energy norms are zero
     largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
     if floats:
@@ -336,7 +336,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
-    lost = hidden and not pair.exact  # nothing is known of the strain that a large motion hides
+    lost = hidden and not pair.exact  # the strain hidden by a large motion is unknown
     energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
     return Bounds(
         energy_scale=energy_scale,
@@ -372,9 +372,8 @@ def _force_error(
     `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces up to `vanishing`,
     the rounding of the data, are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where
     ties act, W is also taken without them, of contact forces and those of ties together, which differ from the true
-    ones by |w - u*|_K, and from the solution itself of contact forces alone. Of bodies that float these norms know
-    little where they are slender: there forces of independent ties are compared one by one. The largest error is the
-    bound.
+    ones by |w - u*|_K, and from the solution itself of contact forces alone. For slender floating bodies these norms
+    are not sharp, and forces of independent ties are compared one by one. The largest error is the bound.
     """
     floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
@@ -385,17 +384,17 @@ def _force_error(
         scale, uncertain = force_norm(problem, condensation, pair.force, tied, pair.tie_force if with_ties else None)
         error = force_norm(problem, condensation, changes[0], tied, changes[1] if with_ties else None)
         if not tied and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
-            continue  # without its ties K is singular to rounding, and has no such norm
+            continue  # without ties K is singular to rounding, without such a norm
         found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
     if len(found) > 1 and 0 < found[0][1] <= found[0][2]:
-        found = found[1:]  # what contacts push ties take up but for rounding, which has no size
+        found = found[1:]  # contact forces are balanced by ties up to rounding
     (_, size, uncertain), *_ = found
     largest = missed = 0.0
     if problem.ties > 0 and independent:
         largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
-    if size == 0:  # contacts have no force: those of ties are compared as they are, too
-        # Forces that are zero in a repaired pair may be of any size up to its radius.
+    if size == 0:  # without contact forces, those of ties are also compared directly
+        # Forces that are zero in a repaired pair may have any size up to its radius.
         absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
         return (absolute if pair.exact or pair.dual_radius <= vanishing else np.inf), size, (missed, largest)
     errors = (relative_error(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
@@ -412,8 +411,8 @@ def _force_bound(
 ) -> tuple[Vector | None, str | None]:
     """Return bounds (m,) on the errors of the pair's contact forces, or None with the reason.
 
-    They are (4) on contacts closed in v, and the bound by the gap on those that are open. Of the solution, gaps that
-    its radius does not tell from zero are closed, too: (4) holds for any choice.
+    They are (4) on contacts closed in v, and the bound by the gap on open ones. Gaps within the radius are treated as
+    closed, as (4) holds for any choice.
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     untold = pair.dual_radius * np.sqrt(condensation.delassus.compliance[: problem.contacts]) if pair.exact else 0.0
@@ -435,17 +434,19 @@ def _force_bound(
 
 
 def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are none."""
+    """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] count as
+    zero.
+    """
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
-    # An error that is absolute, because the true size vanishes, is judged against the energy of the answer, and that
-    # of a displacement without strain against what its rounding strains; what is nothing beside all sizes is none, in
-    # the truth as in the error, unless the contact forces say how little that is.
+    # An absolute error, where the true size vanishes, is compared with the energy of the answer, or that of a
+    # displacement without strain with the strain by its rounding; sizes negligible beside all others count as zero,
+    # unless the contact forces are smaller.
     beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
     strain, pushed = max(bounds.rigid_rounding, beside_forces), max(tolerance * bounds.energy_scale, nothing)
-    # What touching contacts leave open is no strain of a body that only moves; it is in the bound and its uncertainty.
+    # The uncertainty by undecided gaps is no strain of a rigidly moving body; it is in the bound and its uncertainty.
     forgiven_strain = bounds.free_distance + (0.0 if bounds.energy_scale > beside_forces else 2 * bounds.undecided)
-    # Rigid motions take up true forces, those of the answer and their difference, each to rounding.
+    # On rigid motions the true forces, those of the answer and their difference balance to rounding.
     rigidly = 4 * bounds.force_rounding
     pairs = (
         ("energy_error", "displacement", bounds.energy_scale, beside_forces, strain, forgiven_strain),
@@ -462,7 +463,7 @@ def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
         else:
             value = value * (scale or 1.0)
             kind, limit, size = "in the square root of energy, where the truth is zero", absolute, 1.0
-        # Forces so small that their error is beneath the rounding of the refinement have no relative error to ask for.
+        # Forces with errors below the rounding of the refinement have no relative error.
         if not value * size <= max(limit * size, bounds.rounding) + forgiven:
             cure = STATE_MOTIONS if name == "force_error" and bounds.shared > value / 2 else ""
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
@@ -485,8 +486,8 @@ def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
 def fails_force_bound(bounds: Bounds, tolerance: float, nothing: float) -> bool:
     """Return whether the bound on the force of one of these contacts is beyond the tolerance.
 
-    On bodies that float, errors up to `nothing` [square root of energy] are none: loads may be far larger than what
-    presses them together.
+    On floating bodies errors up to `nothing` [square root of energy] count as zero, as loads may be far larger than
+    contact forces.
     """
     relative = bounds.relative_force_bound
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0

@@ -1,19 +1,19 @@
-"""Coulomb's law at every contact: what its force vectors do at the unknowns, and how far an answer is from the law.
+"""Measure the violation of Coulomb's law at every contact, and force vectors by their effect on the unknowns.
 
 `coulomb_residual` measures Signorini's and Coulomb's law as one equation. At contact i let r = (l_N, -l_T) be the force
 on the body and u = (g - E_N u, E_T u - slip_origin). The law is
 
     n_i = r - P_K(r - rho_i (u + mu |u_T| e_N)) = 0        for any stiffness rho_i > 0
 
-with the projection P_K onto the cone K = {|r_T| <= mu r_N}: with De Saxce's velocity u + mu |u_T| e_N the law is that
-K* contains it, K contains r, and the two are orthogonal (De Saxce and Feng 1998). With rho_i = phi_i / L_i, phi_i the
-larger of the forces that meet along the contact's normal and its tangent and L_i the larger of the lengths that meet
-there, |n_i| / phi_i has no dimension and survives a change of units, rescaling of any unknown and common scaling of the
-contact's rows.
+with the projection P_K onto the cone K = {|r_T| <= mu r_N}: the law states that De Saxce's velocity u + mu |u_T| e_N is
+in K*, r is in K, and both are orthogonal (De Saxce and Feng 1998). With rho_i = phi_i / L_i, phi_i the larger of the
+forces that meet along the contact's normal and its tangent and L_i the larger of the lengths that meet there, |n_i| /
+phi_i has no dimension and survives a change of units, rescaling of any unknown and common scaling of the contact's
+rows.
 
 Divided by 1 + mu it is at most 1 + 2 sqrt(2) < 4 times the largest of penetration, tension, complementarity, cone and
-slip_direction: put the answer onto the law by moving r and u by what these figures say; P_K contracts, so n changes by
-twice the move of r and once that of u + mu |u_T| e_N.
+slip_direction: changing r and u by these figures satisfies the law, and as P_K contracts, n changes by at most twice
+the change of r plus that of u + mu |u_T| e_N.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from contactqp.model.solution import Answer, Nothing, Violations
 
 @dataclass(frozen=True, eq=False)
 class ContactEntries:
-    """The entries of the w rows of every contact, at every unknown that one of them touches."""
+    """The entries of the w rows of every contact at their unknowns."""
 
     contact: Indices  # (z,)
     unknown: Indices  # (z,)
     values: Array  # (w, z)
     contacts: int
-    last: list[Any] = field(default_factory=list)  # forces that met, and `tangential_force` of them
+    last: list[Any] = field(default_factory=list)  # the last forces that met, and their `tangential_force`
 
     def over(self, meeting: Vector) -> Array:
-        """Return E_ij / F_j (w, z); where no force meets, an entry counts as much as the contact's largest."""
+        """Return E_ij / F_j (w, z); where no force meets, the largest value of the contact is used."""
         F = meeting[self.unknown]
         scaled = np.divide(self.values, F, out=np.zeros(self.values.shape), where=F > 0)
         if not (F > 0).all():
@@ -99,15 +99,15 @@ def entries_of(rows: Any, contacts: int) -> ContactEntries:
     return ContactEntries(places // rows.shape[1], places % rows.shape[1], values, contacts)
 
 
-# A tangential row that has this part of the normal row's compliance and at no unknown more than the root of this of its
-# entry is the rounding of zero, as of the cosine of a right angle.
+# A tangential row is rounding of zero, as the cosine of a right angle, if its compliance is below this part of the
+# normal row's and its entries are below the root of this part.
 WEAK = 1e-16
 
 
 def hardly_felt(compliances: tuple[Vector, Array], normal: Any, tangent: Any) -> Mask:
-    """Return which contacts have a tangential row that is rounding beside the normal one, or zero (m,).
+    """Return which contacts have a tangential row that is zero or rounding relative to the normal one (m,).
 
-    A body that is soft along the normal of its contact makes no rounding of a row across, which acts on other unknowns.
+    A tangential row on other unknowns than the normal one is never rounding.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def hardly_felt(compliances: tuple[Vector, Array], normal: Any, tangent: Any) ->
 
 
 def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
-    """Return `none` with the length of the normal row in place of the slip's where a contact is `hardly` felt (m,)."""
+    """Return `none` with the length of the normal row instead of the slip's for contacts of `hardly_felt` (m,)."""
     if not hardly.any():
         return none
     slip = none.tangent.reshape(len(hardly), -1)
@@ -134,7 +134,8 @@ def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
 
 
 def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
-    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; up to `none` (n,) it is zero.
+    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; forces up to `none` (n,) count as
+    zero.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none:
 
 @dataclass(frozen=True, eq=False)
 class ForcesMet:
-    """The unknowns that rows of contacts act on, the forces that meet there, and those that are nothing [force]."""
+    """The unknowns of contact rows, the forces that meet there, and those that count as zero [force]."""
 
     entries: ContactEntries
     meeting: Vector
@@ -163,11 +164,11 @@ class ForcesMet:
 
 
 def friction_measure(across: ForcesMet, along: ForcesMet, hardly: Mask) -> Callable[[Array], Vector]:
-    """Return the function that measures tangential forces (m, d-1) by the forces that meet at their unknowns, (m,).
+    """Return the function that measures tangential forces (m, d-1) relative to forces that meet at their unknowns,
+    (m,).
 
-    Where a contact's tangential rows leave a direction that no unknown feels, as those of a node that is held across,
-    forces are measured as if they pushed along its normal, so that friction beyond its bound is seen there too; so are
-    those of contacts that have a row which is `hardly` felt (m,).
+    If a contact's tangential rows are zero in a direction, as at a node supported there, forces are measured as if
+    along the normal, so that friction beyond its bound is also found; likewise for contacts of `hardly_felt` (m,).
     """
     felt = tangential_force(across.entries, across.meeting)[1] & ~hardly
 
@@ -195,7 +196,7 @@ class CoulombData:
 
 @dataclass(frozen=True, eq=False)
 class Slips:
-    """The slips of an answer, whatever counts as none."""
+    """The slips of an answer, before any are set to zero."""
 
     slip: Array  # (m, d-1) E_T u - slip_origin [length]
     rounding: Vector  # (m,) what rounding the displacement to doubles makes of it [length]
@@ -212,7 +213,7 @@ def slips_of(problem: ContactProblem, displacement: Vector) -> Slips | None:
 
 
 def coulomb_data(problem: ContactProblem, found: Slips, F: Vector, none: Vector) -> CoulombData | None:
-    """Return the data that judge Coulomb's law, None without friction.
+    """Return the data by which Coulomb's law is judged, None without friction.
 
     Parameters
     ----------
@@ -238,7 +239,7 @@ def lengths_across(problem: ContactProblem, displacement: Vector) -> Vector:
 def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
     """Return the compliances of the normal rows (m,) and of the tangential ones (m, d-1) [length / force].
 
-    They are sum E_ij^2 / K_jj, and infinite where a tangential row acts on an unknown without stiffness.
+    They are sum E_ij^2 / K_jj, infinite if a tangential row has an unknown without stiffness.
     """
     normal = row_sizes(problem, problem.normal).compliance
     if problem.tangent is None or problem.slip_origin is None:
@@ -248,7 +249,7 @@ def compliances(problem: ContactProblem) -> tuple[Vector, Array]:
 
 
 def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
-    """Return the compliances of rows [length / force], infinite where they act on an unknown without stiffness."""
+    """Return the compliances of rows [length / force], infinite if they have an unknown without stiffness."""
     if diagonal.all():
         return compliance
     bare = abs(rows) @ (diagonal == 0).astype(float) > 0
@@ -258,7 +259,7 @@ def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
 def friction_figures(
     answer: Any, coulomb: CoulombData, meeting: Vector, none: Nothing
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return `cone`, `slip_direction`, the measure of the slip, and the force that a small slip's rounding may turn.
+    """Return `cone`, `slip_direction`, the measure of the slip, and the change of force by rounding of a small slip.
 
     Parameters
     ----------
@@ -281,22 +282,22 @@ def friction_figures(
 
 
 def slips(slip: Array, none: Nothing) -> Array:
-    """Return slips (m, d-1), zero at contacts where they count as none."""
+    """Return slips (m, d-1), with those that count as zero set to zero."""
     least = lengths(none.tangent.reshape(slip.shape))
     return np.asarray(np.where(((lengths(slip) <= least) & np.isfinite(least))[:, None], 0.0, slip))
 
 
 # The other figures imply this one up to this factor.
 IMPLIED = 4.0
-# Tangential rows, each scaled by the forces that meet, whose angle has a smaller squared sine than this are parallel.
+# Tangential rows, scaled by the forces that meet, are parallel if the squared sine of their angle is below this.
 PARALLEL = 1e-14
 
 
 def coulomb_residual(problem: ContactProblem, answer: Answer, found: Violations) -> Vector | None:
     """Return the residual |n_i| / (phi_i (1 + mu_i)) of Coulomb's law (m,), or None without friction.
 
-    A contact whose tangential rows leave a direction that no unknown feels is measured along its normal alone: any
-    friction within the bound would do in that direction.
+    A contact whose tangential rows are zero in a direction is measured along its normal only, as any friction within
+    the bound is right in that direction.
     """
     if not problem.frictional or problem.tangent is None or problem.slip_origin is None or problem.friction is None:
         return None
@@ -327,7 +328,7 @@ def law_residual(
     slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
     gap = np.where(found.gap_measure > 0, found.gap, 0.0)
     L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
-    # Bodies that move rigidly meet at no length but the gap and the slip themselves, beside which forces would drown.
+    # For rigidly moving bodies only gap and slip themselves are lengths, relative to which forces would vanish.
     L = np.maximum(L, np.maximum(abs(gap), lengths(slip)))
     given = answer.friction_force
     given = np.zeros_like(slip) if given is None else np.where(felt[:, None], given, 0.0)
@@ -341,7 +342,7 @@ def law_residual(
 
 
 def normal_forces(entries: ContactEntries, meeting: Vector, none: Vector) -> tuple[Vector, Vector]:
-    """Return the l_N whose measure is one and the largest that is nothing, (m,) each.
+    """Return the l_N whose measure is one and the largest that counts as zero, (m,) each.
 
     The first has max_j |E_ij l_N| / F_j = 1 and is zero where no force meets; the second is at most `none` (n,) at
     every unknown of its contact.
@@ -352,7 +353,7 @@ def normal_forces(entries: ContactEntries, meeting: Vector, none: Vector) -> tup
 
 
 def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, Mask]:
-    """Return an upper bound of the |l_T| whose measure is one (m,), and whether the unknowns feel all its directions.
+    """Return an upper bound of the |l_T| whose measure is one (m,), and whether no direction of it is without effect.
 
     It follows from max_j |E_T'l_T|_j / F_j >= sqrt(l_T' G l_T / c), G = E_T diag(F)^-2 E_T', of the c unknowns of a
     contact, and is zero where no force meets.
@@ -360,14 +361,14 @@ def tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, 
     last = entries.last[0] if entries.last else None
     if last is None or last[0] is not meeting:
         last = meeting, _tangential_force(entries, meeting)
-        entries.last[:] = [last]  # as one, whoever else asks meanwhile
+        entries.last[:] = [last]  # read once, as other threads may replace it
     found: tuple[Vector, Mask] = last[1]
     return found
 
 
 def _tangential_force(entries: ContactEntries, meeting: Vector) -> tuple[Vector, Mask]:
     scaled, count = entries.over(meeting), entries.sums(np.ones(len(entries.contact)))
-    unit = reciprocal(entries.largest(scaled))  # so that squares are doubles
+    unit = reciprocal(entries.largest(scaled))  # to avoid overflow of squares
     scaled = scaled * unit[entries.contact]
     own = [entries.sums(row * row) for row in scaled]
     meets = entries.meets(meeting)
@@ -404,16 +405,16 @@ def de_saxce(velocity: Array, friction: Vector) -> Array:
     return shifted
 
 
-# A friction force within this part of mu r_N, either way, is mu r_N: doubles come no nearer.
+# A friction force within this relative distance of mu r_N is at its bound.
 ON_CONE = 4 * EPS
 
 
 def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
     """Return n = r - P_K(r - v), v = u + mu |u_T| e_N (m, d), which is zero exactly where the law holds.
 
-    It is computed from velocities and the distance of r from the cone, never as a difference of forces or of mu |u_T|,
-    beside which velocities would be lost where redundant contacts press on each other or mu is large. In K n is v, in
-    its polar cone r. Outside, with the direction t of r_T - u_T and e = |r_T| - mu r_N + |r_T - u_T| - |r_T| - |u_T|,
+    It is computed from velocities and the distance of r from the cone, not as a difference of forces or of mu |u_T|, in
+    which velocities would be lost for large self-equilibrated forces or large mu. In K n is v, in its polar cone r.
+    Outside, with the direction t of r_T - u_T and e = |r_T| - mu r_N + |r_T - u_T| - |r_T| - |u_T|,
 
         n_N = (u_N - mu e) / (1 + mu^2),    n_T = u_T + |u_T| t + (e + mu u_N) t / (1 + mu^2).
     """
@@ -429,7 +430,7 @@ def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
     excess = excess - np.sum(both * slip, axis=1) - slid
     root = np.hypot(1.0, friction)
     across, along = 1.0 / root, friction / root
-    # Without friction the cone is a half line, and -0 is no side of it.
+    # Without friction the cone is a half line.
     inside = (across * excess + along * velocity[:, 0] + root * slid <= 0) & (moved[:, 0] >= 0)
     normal = across * (across * velocity[:, 0] - along * excess)
     tangential = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
@@ -438,9 +439,10 @@ def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
 
 
 def distance_from_law(force: Array, velocity: Array, friction: Vector) -> Vector:
-    """Return |n| of each contact, or |u_T| + |n| without slip where that is less (m,).
+    """Return |n| of each contact, or |u_T| + |n| without slip if that is smaller (m,).
 
-    With its velocities changed by u_T a contact sticks: a large mu makes much of a slip that is rounding.
+    The latter treats a contact as sticking with its velocity changed by u_T, as a large mu amplifies a slip of rounding
+    size.
     """
     sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
     missed, missed_sticking = (lengths(natural_map(force, each, friction)) for each in (velocity, sticking))

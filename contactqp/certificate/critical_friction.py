@@ -1,4 +1,4 @@
-"""How near friction is to the coefficients above which Coulomb's law may have several answers.
+"""Compute critical coefficients of friction, above which Coulomb's law may have several answers.
 
 Two answers to one load differ by contact forces d, and their slips by e = (W d)_T. Signorini's and Coulomb's laws
 give d'W d <= sum mu_i |d_N,i| |e_i|, and d'W d = d_N'S d_N + e'W_TT^-1 e with S^-1 = (W^-1)_NN, so that there is one
@@ -6,9 +6,10 @@ answer to every load where, for any positive weights c,
 
     kappa = 1/2 |diag(c sqrt(mu)) S^-1 diag(sqrt(mu) c)|^(1/2) |diag(sqrt(mu)/c) W_TT diag(sqrt(mu)/c)|^(1/2) < 1
 
-(spectral norms; after Necas, Jarusek and Haslinger 1980). In the plane, with few contacts, more is known: the graph of
-the law is a surface of four pieces a contact, and there is one answer to every load if and only if the determinants
-of all combinations of open, stick and slip have one sign. For one contact that is mu < mu_c = W_NN / |W_NT|.
+(spectral norms; after Necas, Jarusek and Haslinger 1980). In the plane, with few contacts, there is a sharp criterion:
+the law is piecewise linear with four pieces per contact, and there is one answer to every load if and only if the
+determinants of all combinations of open, stick and slip have one sign. For one contact that is mu < mu_c = W_NN /
+|W_NT|.
 """
 
 from __future__ import annotations
@@ -31,46 +32,44 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.summary import folded, number
 
-# Beyond these, dense operators of all contacts cost more than a certificate should; what is said of equilibria nearby
-# takes fewer of them.
+# The most contacts and unknowns for dense operators of all contacts, which are fewer for statements on equilibria
+# nearby.
 MOST_CONTACTS, MOST_NEARBY = 300, 600
 MOST_UNKNOWNS = 2000
 # 4^6 determinants take a tenth of a second, once for a stiffness.
 MOST_COMBINED = 6
-# A determinant of this part of the product of its rows' lengths may be zero.
+# A determinant below this part of the product of its rows' lengths may be zero.
 SINGULAR = 1e-12
-# The compliance of a slip that all supports prevent, of contacts whose own is one.
+# The relative compliance of a slip that supports prevent.
 UNFELT = 1e-9
-# Halves of a radius that are tried: contacts are at least so far from where an answer is looked for.
+# The number of halvings of a radius that are tried.
 HALVINGS = 50
-# A map that takes what refinement leaves to more than so many times as much is nearly singular.
+# A map with a larger amplification of residuals is nearly singular.
 MOST_GROWTH = 8.0
 # Singular values of this part of the largest are zero.
 SINGULAR_SYSTEM = 1e-11
 WITHOUT_STIFFNESS = "some unknowns have no stiffness"
 
-# What `CriticalFriction.examined` calls the bound that holds of any number of contacts.
+# The name in `CriticalFriction.examined` of the bound for any number of contacts.
 KAPPA = "kappa"
-# What messages call `CriticalFriction.contraction`.
+# The name of `CriticalFriction.contraction` in messages.
 LARGEST_RATIO = "largest ratio of a contact's friction coefficient to its critical value"
 
 
 @computes
 @dataclass(frozen=True, eq=False)
 class CriticalFriction(ReadOnly):
-    """Critical coefficients of friction and uniqueness, which follow from the bodies' compliance whatever the load."""
+    """Critical coefficients of friction and uniqueness by the bodies' compliance, for any load."""
 
     single: Vector  # (m,) mu_c = W_NN / |W_NT|, each contact alone; infinite where normal and tangent are uncoupled
-    contraction: float  # max mu_i / mu_c,i; one sliding contact's error is that many times smaller a Tresca step
-    kappa: float  # below 1 there is one answer to every load; infinite where W is singular or a body floats
-    unique: bool  # there is one answer to every load, by kappa or by all determinants
-    examined: str  # how that was found out
+    contraction: float  # max mu_i / mu_c,i; the contraction of a Tresca step for one sliding contact
+    kappa: float  # below 1 there is one answer to every load; infinite if W is singular or a body floats
+    unique: bool  # whether there is one answer to every load, by kappa or by determinants
+    examined: str  # the criterion used
 
     @property
     def above(self) -> Indices:
-        """Return the contacts whose coefficient is at least their own critical one, for which some load has several
-        answers.
-        """
+        """Return the contacts with at least their critical coefficient, for which some load has several answers."""
         return read_only(np.flatnonzero(self.ratio >= 1.0))
 
     @property
@@ -102,7 +101,7 @@ class CriticalFriction(ReadOnly):
 
     @property
     def _reason(self) -> str:
-        """Return what the uniqueness of the answer was found out by, in words."""
+        """Return a text on the criterion of uniqueness."""
         if self.examined != KAPPA:
             signs = "of one sign" if self.unique else "not all of one sign"
             return f"the {self.examined} are {signs}"
@@ -145,7 +144,7 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     idle, idle_ties = problem.idle_rows()
     if np.any(idle) or np.any(idle_ties):
         found = critical_friction(problem.with_contacts(np.flatnonzero(~idle)).with_ties(np.flatnonzero(~idle_ties)))
-        single = np.full(problem.contacts, np.inf)  # what never closes is never critical
+        single = np.full(problem.contacts, np.inf)  # contacts that never close are not critical
         single[~idle] = found.single
         return replace(found, single=single, _friction=problem.friction)
     if (near := near_one(problem)) is not None:
@@ -182,7 +181,7 @@ def too_many(problem: ContactProblem, condensation: Condensation | None = None, 
 
 
 def condensed_to_prove(problem: ContactProblem) -> tuple[Condensation | None, str]:
-    """Return the condensation that bounds with friction take where sparse systems cost less, or why there is none."""
+    """Return the condensation for bounds with friction if sparse systems are used otherwise, or the reason for none."""
     reason = too_many(problem, nearby=True)
     return (condense(problem), "") if reason is None else (None, f"friction: {reason}")
 
@@ -218,7 +217,7 @@ def of_operator(
     blocks = W.reshape(m, d, m, d)
     own = blocks[np.arange(m), :, np.arange(m), :]
     coupling = np.linalg.norm(own[:, 0, 1:], axis=1)
-    # Coupling beneath the rounding of the block is none.
+    # Coupling below the rounding of the block counts as zero.
     coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
     single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
     kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
@@ -230,9 +229,9 @@ def of_operator(
 
 
 def _kappa(blocks: Array, mu: Vector) -> float:
-    """Return kappa with weights c that make the diagonals of the two matrices alike.
+    """Return kappa with weights c that make the diagonals of the two matrices equal.
 
-    Slips that supports prevent are zero in all answers, and their rows of W, which are zero, are left out.
+    Slips that supports prevent are zero in all answers, and their zero rows of W are left out.
     """
     m, d = len(mu), blocks.shape[1]
     felt = np.einsum("ikik->ik", blocks)[:, 1:] > 0
@@ -249,7 +248,7 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     if (pivots / W.diagonal()).min() < SINGULAR:
         return np.inf
     if not len(frictional):
-        return 0.0  # NumPy before 2.3 has no norm of what is empty
+        return 0.0  # NumPy before 2.3 has no norm of empty arrays
     half = inverse_of_lower(factor)
     normal = (half.T @ half)[np.ix_(frictional, frictional)]  # S^-1
     tangent = W[m:, m:]
@@ -260,12 +259,12 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     other = np.repeat(mu_r / weight, felt.sum(axis=1))
     scaled = [M * (w[:, None] * w) for M, w in ((normal, weight), (tangent, other))]
     if not all(np.all(np.isfinite(one)) for one in scaled):
-        return np.inf  # compliances so far apart that an inverse leaves the range of floats
+        return np.inf  # the inverse overflows for very different compliances
     return float(0.5 * np.sqrt(np.prod([np.linalg.eigvalsh(one)[-1] for one in scaled])))
 
 
 def inverse_of_lower(factor: Any) -> Array:
-    """Return the inverse of a lower triangular matrix (p, p), not finite where a pivot is zero."""
+    """Return the inverse of a lower triangular matrix (p, p), not finite if a pivot is zero."""
     from scipy.linalg.lapack import dtrtri
 
     inverse, failed = dtrtri(factor, lower=1) if len(factor) else (factor.copy(), 0)
@@ -294,16 +293,16 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
 
 
 def regular(matrices: Array, rounding: float = SINGULAR) -> Mask:
-    """Return which of the matrices (c, q, q) have a determinant that exceeds a relative rounding of their rows."""
+    """Return which of the matrices (c, q, q) have a determinant beyond rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), TINY)), axis=1)
     return np.asarray(size > lengths + np.log(rounding))
 
 
 def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
-    """Return whether the determinants of all combinations are positive, as that of W is, whatever rounding makes of it.
+    """Return whether the determinants of all combinations are positive, as that of W, in spite of rounding.
 
-    A row of W may be off by `rounding` times the roots of its diagonal entry and of the largest eigenvalue.
+    The error of a row of W is `rounding` times the roots of its diagonal entry and of the largest eigenvalue.
     """
     diagonal = W.diagonal()[np.column_stack([mu >= 0, mu > 0]).ravel()]
     if not (np.all(diagonal > 0) and rounding < 1):
@@ -312,7 +311,7 @@ def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
     matrices = system_matrices(W, mu, combinations(mu))
     if np.any(np.linalg.slogdet(matrices)[0] <= 0):
         return False
-    # A small determinant may be that of many small eigenvalues, and its sign still be known.
+    # A determinant may be small by many small eigenvalues and still have a certain sign.
     doubtful = matrices[~regular(matrices, max(SINGULAR, len(W) * of_rows))]
     values = np.linalg.svd(doubtful, compute_uv=False)
     most = np.maximum(SINGULAR_SYSTEM * values[:, 0], rounding * np.sum(diagonal))
@@ -320,12 +319,12 @@ def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
 
 
 def felt_rows(compliance: ContactOperators) -> Mask:
-    """Return the rows (m, d) that move something."""
+    """Return the rows (m, d) with compliance."""
     return compliance.felt
 
 
 def acting_rows(compliance: ContactOperators, status: Status, mu: Vector) -> Mask:
-    """Return the rows (m, d) on which forces may act, and be felt, while every contact keeps its state."""
+    """Return the rows (m, d) with compliance on which forces may act while every contact keeps its state."""
     rows = felt_rows(compliance)
     rows[:, 1:] &= (mu > 0)[:, None]
     return np.asarray(rows & (status != OPEN)[:, None])
@@ -333,7 +332,7 @@ def acting_rows(compliance: ContactOperators, status: Status, mu: Vector) -> Mas
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A ball of slips in which the map of `SlipsNearby.settled` has one zero, if any."""
+    """A ball in which the map of `SlipsNearby.settled` has at most one zero."""
 
     inverse: float  # |J^-1|
     spread: Vector  # (q,) |J^-1 A_i'|
@@ -343,9 +342,10 @@ class Settled:
 
 @dataclass(frozen=True, eq=False)
 class SlipsNearby:
-    """How the slips of contacts that stay in their states change with their forces, others keeping gap and place.
+    """The change of slips with forces d while all contacts keep their states, as linear maps of a vector y with |y| =
+    |d|_W.
 
-    Slips change by A_i y and normal forces by P_i y, y of the length |d|_W that forces d have.
+    Slips change by A_i y and normal forces by P_i y.
     """
 
     slides: Mask  # (m,) which contacts slip, with friction
@@ -353,11 +353,11 @@ class SlipsNearby:
     slip: Array  # A (q, d-1, p)
     drive: Array  # B (q, d-1, p), A where the compliance is symmetric
     pushed: Array  # P (q, p)
-    kappa: float  # of two answers with the same states
+    kappa: float  # kappa of two answers with the same states
 
     @classmethod
     def none(cls, mu: Vector) -> SlipsNearby:
-        """Return that of states in which no slip turns: a linear system, whose refinement has settled."""
+        """Return the object for states without slip in space, which are a linear system."""
         none = np.zeros((0, 1, 0))
         return cls(np.zeros(len(mu), dtype=bool), mu[:0], none, none, np.zeros((0, 0)), 0.0)
 
@@ -368,7 +368,7 @@ class SlipsNearby:
 
     @property
     def growth(self) -> float:
-        """Return by how much an error of forces may grow in slips where the compliance is not symmetric, at least 1."""
+        """Return the amplification of force errors in slips by an unsymmetric compliance, at least 1."""
         if self.slip is self.drive:
             return 1.0
         p = self.pushed.shape[1]
@@ -377,16 +377,15 @@ class SlipsNearby:
         )
 
     def settled(self, push: Vector, slip: Array, allowance: float, most: float) -> Settled | None:
-        """Return a ball around slips s (q, d-1) with forces N (q,) in which one answer is at most, or None.
+        """Return a ball around slips s (q, d-1) with forces N (q,) with at most one answer, or None.
 
         Coulomb's law is H(y) = y + sum B_i'(mu N t - l_T) = 0, N + P_i y for N, s + A_i y for s and t = s / |s|, with
 
             J = I + sum B_i'(mu t P_i + mu N / |s| (I - t t') A_i).
 
-        In |y| <= r slips turn by no more than |A_i| r / (|s| - |A_i| r), and what J changes by then is bounded term by
-        term; where that is |I - J^-1 J(y)| <= q < 1, y - J^-1 H(y) contracts (L. V. Kantorovich, 1948): one y at most
-        has H = 0, and it is there, no further than |J^-1 H(0)| / (1 - q), where that is less than r. A map
-        that is nearly singular has no ball.
+        For |y| <= r slips turn by at most |A_i| r / (|s| - |A_i| r), which bounds the change of J term by term. If |I -
+        J^-1 J(y)| <= q < 1, y - J^-1 H(y) contracts (L. V. Kantorovich, 1948): at most one y has H = 0, and it exists
+        within |J^-1 H(0)| / (1 - q) if that is less than r. A nearly singular map has no ball.
 
         Parameters
         ----------
@@ -425,13 +424,13 @@ class SlipsNearby:
 def slips_nearby(
     compliance: ContactOperators, status: Status, mu: Vector, skew: Array | None = None
 ) -> SlipsNearby | None:
-    """Return the slips of contacts that stay in their states, and kappa of two such answers; None where W is singular.
+    """Return the slips of contacts that keep their states, with kappa of two such answers; None if W is singular.
 
     Contacts that are closed in both keep their gap, those that stick their slip: with c these rows and l those of
     slips, (W d)_c = 0, so that |d|_W^2 = e'S^-1 e for e = (W d)_l, S = W_ll - W_lc W_cc^-1 W_cl, and d_N is that part
-    of -W_cc^-1 W_cl S^-1 e. Where a body floats, joints that take no force are among c: closed contacts hold it.
-    With L L' the symmetric part of S, y = L'S^-1 e has that length, B = L and A = S L'^-1; where S is not symmetric,
-    turning slips may drive themselves, and kappa is infinite.
+    of -W_cc^-1 W_cl S^-1 e. If a body floats, joints without force are among c, as closed contacts hold it. With L L'
+    the symmetric part of S, y = L'S^-1 e has that length, B = L and A = S L'^-1; where S is not symmetric, turning
+    slips may drive themselves, and kappa is infinite.
 
     Parameters
     ----------
@@ -457,7 +456,7 @@ def slips_nearby(
     try:
         drawn = np.linalg.solve(whole[np.ix_(~slips, ~slips)], whole[np.ix_(~slips, slips)])
         S = whole[np.ix_(slips, slips)] - whole[np.ix_(slips, ~slips)] @ drawn
-        S += np.diag(UNFELT * ~acting[slides, 1:].ravel())  # there e = 0, whatever it would cost
+        S += np.diag(UNFELT * ~acting[slides, 1:].ravel())  # e = 0 there
         factor = np.linalg.cholesky((S + S.T) / 2)
     except np.linalg.LinAlgError:
         return None
@@ -486,7 +485,7 @@ def coupling(force: Array, slip: Array, mu: Vector) -> float:
     mu, force, slip, least = mu[coupled], force[coupled], slip[coupled], np.inf
     if not coupled.any():
         return 0.0
-    # Weights c_i by which both parts are alike, measured by the largest slip and by the mean one.
+    # Weights c_i that make both parts equal, by the largest slip and by the mean one.
     for size in (np.linalg.norm(slip, ord=2, axis=(1, 2)), slid[coupled]):
         c = size / pushed[coupled]
         square = force.T @ ((mu * c)[:, None] * force) + np.einsum("i,iwp,iwq->pq", mu / c, slip, slip)

@@ -1,27 +1,26 @@
-"""How far an answer is from the truth where constraints are many or K does not see everything.
+"""Prove bounds on the distance of an answer from the solution where constraints are many or K is singular.
 
-Let (U, L, N) be refined in extended precision from the answer until it meets every condition but for residuals
-r = f - K U - E'L - A'N, gaps c of contacts with force and ties t that rounding has left, and no contact is penetrated.
-For any v with E v <= g and A v = b
+Let (U, L, N) be refined in extended precision from the answer until all conditions hold up to residuals r = f - K U -
+E'L - A'N, gaps c of contacts with force, and ties t, all of rounding size, and no contact is penetrated. For any v with
+E v <= g and A v = b
 
     J(v) = J(U) - r'(v - U) + L'(E U - E v) + N'(A U - A v) + 1/2 |v - U|^2
         >= J(U) - |L|'|c| - |N|'|t| - r'(v - U) + 1/2 |v - U|^2,
 
 and in a connected part of K in all of whose rows K_jj exceeds the sum of the other |K_ji|, by d_j > 0, K - diag(d) is
-semidefinite: there r_j (v - U)_j <= r_j^2 / d_j + 1/4 d_j (v - U)_j^2, of which all the last together are 1/4 |v - U|^2
-at most. So, of all solutions within a distance R of U, unknown by unknown, J* and u* satisfy
+semidefinite: there r_j (v - U)_j <= r_j^2 / d_j + 1/4 d_j (v - U)_j^2, and the last terms sum up to at most 1/4 |v -
+U|^2. So, of all solutions within a distance R of U, unknown by unknown, J* and u* satisfy
 
     J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 8 w,    w = |L|'|c| + |N|'|t| + sum_j min(|r_j| R_j, r_j^2 / d_j).
 
-R is REACH times the size of the answer, or the way that contacts and ties of unknown j alone leave it in the direction
-of r_j: the residuals of extended precision are so small that w stays far beneath any tolerance all the same. An answer
-u is |u - U|_K + sqrt(8 w) away from u* at most, in the part of it that K sees; and
+R is REACH times the size of the answer, or the room that contacts and ties of unknown j leave it in the direction of
+r_j; the residuals of extended precision are so small that w is still far below any tolerance. An answer u is at most |u
+- U|_K + sqrt(8 w) away from u* in the energy norm; and
 
-    J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w    up to what it penetrates or leaves of ties,
-
-which counts where K does not determine the displacement: a linear program's energy is right or wrong by it. Forces are
-compared with L, by |l - L|_W over |L|_W, W = E K^-1 E', where K is regular; elsewhere with L and N, all in equilibrated
-units. Where rows repeat, these are the nearest of many.
+    J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w up to penetration and residuals of ties, by which an answer is judged
+    if K does not determine the displacement, as in a linear program. Forces are compared with L, by |l - L|_W over
+    |L|_W, W = E K^-1 E', where K is regular; elsewhere with L and N, all in equilibrated units. With dependent rows,
+    these are the nearest of many.
 """
 
 from __future__ import annotations
@@ -68,46 +67,45 @@ from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, wi
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
-# Solutions are looked for within so many times the size of the answer.
+# The bounds hold for solutions within this multiple of the size of the answer.
 REACH = 1e3
-# Motions and forces that answer one by this part of 1/d are taken for free.
+# Motions and forces are free if the response to a unit is at least this part of 1/d.
 ALMOST_FREE = 1e-3
-# The regularisation that tells soft motions and nearly dependent rows from free and redundant ones.
+# A smaller regularisation, which separates soft motions and nearly dependent rows from free and redundant ones.
 NEARER = 1e-11
-# A residual of equilibrium that costs more than this part of the energy is weighed against the constraints around it.
+# If a residual of equilibrium costs more than this part of the energy, nearby constraints are used to bound it.
 NOTABLE = 1e-11
-# A bound of an unknown is a quotient of doubles, which rounds it by at most this part of itself.
+# The relative rounding of a bound of an unknown, a quotient of doubles.
 ROUNDED_BOUND = EPS
-# Diagonals exceed the sum of the other entries where they do so by more than rounding.
+# The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
 DOMINANT = 1e-12
-# Energies and forces that lengths rounded to this part of themselves would have are none, nor what such forces do
-# within REACH.
+# Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
 ROUNDED = 1e-26
-# Rows whose forces take up a residual by dense systems, and so many times of that is allowed for.
+# The number of rows up to which dense systems distribute a residual over forces, and a safety factor.
 MOST_DENSE, CAUTION = 500, 4.0
-# Sizes of motions that are too many to be formed are told from what they answer to so many forces at random.
+# The number of random forces by which the sizes of many motions are estimated.
 PROBES = 24
-# Entries that E E' may have, and pivots of it, its diagonal scaled to one, that leave doubles digits enough.
+# The most entries of E E', and its least pivot with unit diagonal.
 MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 DECIDED = "what rounding of the data decides is not proven"
-# An answer that is so near to a solution up to such a conflict is believed.
+# An answer is accepted if it is this close to a solution up to such a conflict.
 NEAR = 1e-6
-# Of contact forces that are less than this part of those of ties an error of 1e-6 is nothing beside these, 1e-12.
+# Contact forces below this part of tie forces have errors that are negligible relative to these.
 LEAST_PART = 1e-6
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
-# Elastic energy beneath zero by this part of the energy's terms is that of a stationary point that is no minimum.
+# With an elastic energy below minus this part of the energy's terms, a stationary point is no minimum.
 NEGATIVE = 1e-9
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
-# Rigid motions of a body in space; what K leaves more of is no body.
+# The number of rigid motions of a body in space.
 MOTIONS_OF_A_BODY = 6
 
 
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
-    """Return the bounds of a frictionless answer from the solution nearest to it, nothing being condensed.
+    """Return the bounds of a frictionless answer from the nearest solution, without condensation.
 
-    There are none of an answer that the time limit has cut short where they take as long again.
+    After a time limit was reached, bounds that take as long again are not computed.
 
     Raises
     ------
@@ -137,7 +135,8 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     found = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
-    # K sees all: forces are compared by what the bodies, untied, would feel of their difference, with ties and without.
+    # If K is regular, forces are compared by the response of the untied bodies to their difference, with and without
+    # ties.
     change = extend(start.normal_force) - state.answer.normal_force, extend(start.tie_force) - state.answer.tie_force
     felt = []
     for push, held in ((state.answer.normal_force, state.answer.tie_force), change):
@@ -145,13 +144,13 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         tied = problem.tie.T @ (held.double() * scaling.force / scaling.ties)
         felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
     (size, whole), (missed, missed_by_all) = felt
-    # Where contacts have no force, those of ties are compared as they are.
+    # Without contact forces, those of ties are compared directly.
     error = max(_relative(missed, size), _relative(missed_by_all, whole if size > 0 else 0.0))
     return replace(found, force_error=error, force_scale=size)
 
 
 def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
-    """Return the factors of the last saddle point of an equilibrated problem if they have the entries of K."""
+    """Return the factors of the last saddle point of an equilibrated problem if they have the pattern of K."""
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     return next((saddle.factors for saddle in kept.values()), None)
 
@@ -159,10 +158,10 @@ def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
 def _from_solution(
     problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
 ) -> Bounds:
-    """Return bounds in the units of the problem, from an answer and a solution in those of its equilibrated twin.
+    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin.
 
-    Where the contacts that it holds closed conflict by rounding, a vertex solves what is left; that the contacts which
-    only touch there have no force is a matter of rounding, so forces are compared with those of all that are held.
+    If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
+    contacts there are due to rounding, forces are compared with those of all closed contacts.
     """
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
@@ -173,7 +172,7 @@ def _from_solution(
     strain = max(strain - uncertain, 0.0)
     energy, size, elastic = _energy(state)
     moved = abs(solution.displacement)
-    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # what rigid motions leave, of either sign
+    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)
@@ -186,7 +185,7 @@ def _from_solution(
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     largest = largest if largest > least else 0.0
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    if not unique.forces:  # closed rows may share what they carry in another way, or press against each other
+    if not unique.forces:  # redundant rows may have other forces
         missed = min(missed, float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned)))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
@@ -201,7 +200,7 @@ def _from_solution(
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
-        # That bodies slide under what rounding leaves of their loads widens bounds, and makes no answer wrong.
+        # Rigid motions by rounding of balanced loads widen the bounds but do not make the answer wrong.
         force_bound=(own + by_strain) * scaling.force / scaling.contacts if bounded else None,
         relative_force_bound=own / pushed if bounded and pushed > least else None,
         energy_scale=scale * root,
@@ -211,7 +210,7 @@ def _from_solution(
         energy_size=size * unit,
         energy_rounding=rounded * unit,
         by_energy=not sees,
-        # A slender body answers a force as a motion does that nothing resists; its factors tell that it has energy.
+        # A slender body responds like a free motion; its factors show that it has stiffness.
         apart=_relative(distance * root, strained * root) if definite and not sees else None,
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
@@ -230,15 +229,14 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float)
 
         |L_i - L*_i| <= |r|'|v| + |v|_K |U - u*|_K
 
-    The first is nothing beside the largest forces of the problem, and the second beside the largest strain; beside what
-    acts on soft parts they may be more.
+    Both are negligible relative to the largest forces and strain of the problem, but may not be on soft parts.
     """
     left, closed = np.zeros((problem.contacts, 2)), np.flatnonzero(held.closed)
     if not len(closed):
         return left[:, 0], left[:, 1]
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
     residual, taken = abs(held.left.force.double()), np.zeros((rows.shape[0], 2))
-    # Rows of one unknown each take up what acts there, other rows what acts on the other unknowns.
+    # Rows of one unknown balance the residual there, other rows that on the other unknowns.
     alone, unknown = rows_alone(rows)
     others, free = np.delete(np.arange(rows.shape[0]), alone), np.delete(np.arange(problem.dimension), unknown)
     stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
@@ -251,10 +249,9 @@ def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float)
 
 
 def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
-    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), residuals r and a distance d.
+    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), with residuals r and a distance d.
 
-    Rows that share no unknown are moved one by one. Both are infinite where rows leave the range of doubles, or are
-    dependent.
+    Rows that share no unknown have separate motions. Both are infinite if rows overflow or are dependent.
 
     Parameters
     ----------
@@ -285,11 +282,12 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> A
 
 
 def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
-    """Return what |r|'|v| and |v|_K d of the shortest motions v = E'(E E')^-1 e_i (a, 2) do not exceed, but for chance.
+    """Return probabilistic bounds of |r|'|v| and |v|_K d for the shortest motions v = E'(E E')^-1 e_i (a, 2).
 
-    For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z has the v'D z
-    of all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2, with
-    s_j the sum of |K_ji| over i. That the mean of `PROBES` falls short by `CAUTION` in the root has odds beneath 1e-10.
+    For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z gives v'D z
+    for all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2,
+    with s_j the sum of |K_ji| over i. The root mean of `PROBES` is too small by the factor `CAUTION` with a probability
+    below 1e-10.
 
     Parameters
     ----------
@@ -309,9 +307,9 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: floa
 
 
 def _inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
-    """Return a function that solves with E E' of sparse rows E (a, n), None where they are too near to dependent.
+    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
 
-    Where the condition of E E' would be too much, [I E'; E 0] has the root of it.
+    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
     """
     n = rows.shape[1]
     if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
@@ -326,7 +324,7 @@ def _inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
-    """Return the bounds that remain where closed contacts and ties conflict by rounding."""
+    """Return the remaining bounds if closed contacts and ties conflict by rounding."""
     said = f"closed contacts and ties conflict by {conflict}: {DECIDED}"
     beside = f"energy_bounds: those of the problem whose gaps and tie values are moved by {conflict}"
     none = no_bounds(said)
@@ -341,12 +339,12 @@ def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
 
 
 def narrow(state: ClosedState) -> bool:
-    """Return whether the width that rounding leaves between the bounds of a solution's energy is nothing beside it."""
+    """Return whether the width w of the bounds of a solution's energy is negligible."""
     return state.holds and _width(state) <= NOTABLE * _energy(state)[1]
 
 
 def _width(state: ClosedState) -> float:
-    """Return w, the width that rounding leaves between the bounds of the solution's energy."""
+    """Return w, the width of the bounds of the solution's energy by rounding."""
     answer = state.answer.double()
     contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
     ties = abs(answer.tie_force) @ abs(state.left.tie.double())
@@ -365,10 +363,10 @@ def _cost(state: ClosedState, residual: Vector, dominance: Vector) -> float:
 
 
 def _taken_by_constraints(state: ClosedState, dominance: Vector) -> float:
-    """Bound r'(v - U) by the constraints that stop the motion which r drives; d (n,) is as in the module's formula.
+    """Bound r'(v - U) by the constraints that limit v - U; d (n,) is that of the module's formula.
 
-    For any p >= 0 and q it is at most p'(g - E U) + q'(b - A U) + (r - E'p - A'q)'(v - U). A linear program chooses
-    these: its multipliers where it drives the motion v - U by r as far as constraints let it.
+    For any p >= 0 and q it is at most p'(g - E U) + q'(b - A U) + (r - E'p - A'q)'(v - U). They are the multipliers of
+    the linear program that maximises r'(v - U) subject to the constraints.
     """
     problem, left, length = state.problem, state.left, state.length
     residual, gap = left.force.double(), left.gap.double()
@@ -391,9 +389,9 @@ def _taken_by_constraints(state: ClosedState, dominance: Vector) -> float:
 
 
 def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Vector:
-    """Return R (n,), how far each unknown may go on from U in the direction in which a residual drives it [length].
+    """Return R (n,), the largest change of each unknown from U in the direction of a residual [length].
 
-    Contacts and ties of one unknown alone say how far; where there are none it is REACH times the size of the answer.
+    It is limited by contacts and ties of that unknown, else REACH times the size of the answer.
     """
     farthest = REACH * (abs(displacement) + np.max(abs(displacement), initial=0.0))
     lower, upper = bounds_of_unknowns(problem)
@@ -406,8 +404,7 @@ def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Ve
 def diagonal_dominance(problem: ContactProblem) -> Vector:
     """Return d (n,) >= 0 for which K - diag(d) is semidefinite, by Gershgorin's circles.
 
-    d_j is K_jj less the sum of the other |K_ji| in connected parts where that is positive in every row, else zero: one
-    row that is not dominant may take from its neighbours what they have.
+    d_j is K_jj less the sum of the other |K_ji| in connected parts where that is positive in every row, else zero.
     """
     excess = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
     part = connected_parts(problem.stiffness_rows)[1]
@@ -416,9 +413,9 @@ def diagonal_dominance(problem: ContactProblem) -> Vector:
 
 
 def _energy(state: ClosedState) -> tuple[float, float, float]:
-    """Return the energy J, the larger of its terms or, where both vanish, of the dual energy's, and 1/2 U'K U.
+    """Return the energy J, the larger of its terms or, if both vanish, of the dual energy's, and 1/2 U'K U.
 
-    K U is what the residual r = f - K U - E'L - A'N has been formed with. What work that cancels leaves is no measure.
+    K U is taken from the residual r = f - K U - E'L - A'N. The terms are used as the size, as their sum may cancel.
     """
     problem, answer = state.problem, state.answer
     u, doubles, load = answer.displacement, answer.double(), extend(problem.load)
@@ -437,18 +434,18 @@ def _relative(error: float, scale: float) -> float:
 
 @dataclass(frozen=True)
 class Unique:
-    """Whether a state's displacement and its forces are the only ones of its closed contacts."""
+    """Whether a state's displacement and forces are unique for its closed contacts."""
 
     displacement: bool
     forces: bool
 
 
 def unique_on(state: ClosedState) -> Unique:
-    """Return whether displacement and forces on these closed contacts are unique.
+    """Return whether displacement and forces of these closed contacts are unique.
 
-    The regularised saddle point answers a force that works on a motion which nothing resists, or a gap that repeated
-    rows ask for differently, by 1/d times it. Forces and gaps at random do both. Soft bodies, and rows that nearly
-    depend on each other, as differences of thousands of unknowns do, may answer by as much: a smaller d tells them.
+    The response of the regularised saddle point to a force on a free motion, or to contradicting gaps of dependent
+    rows, is 1/d times these, which random forces and gaps include. Soft bodies and nearly dependent rows, such as
+    differences of thousands of unknowns, may respond as strongly, but less with a smaller d.
     """
     unique = Unique(*_answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state))
     if unique.displacement and unique.forces:
@@ -462,7 +459,7 @@ def unique_on(state: ClosedState) -> Unique:
 
 
 def _answered(saddle: SparseSaddle, state: ClosedState) -> tuple[bool, bool]:
-    """Return whether displacements and forces answer those at random by less than what nothing resists does."""
+    """Return whether the responses to random forces and gaps are below those of free motions and dependent rows."""
     random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
     sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
     force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
@@ -472,7 +469,7 @@ def _answered(saddle: SparseSaddle, state: ClosedState) -> tuple[bool, bool]:
 
 
 def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:
-    """Return bounds from the nearest solution, where condensed systems prove nothing and no body floats.
+    """Return bounds from the nearest solution, if condensed systems prove nothing and no body floats.
 
     Parameters
     ----------
@@ -487,13 +484,13 @@ def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, ri
         return bounds
     if bounds.force_error is None or found.force_error is None:
         return found
-    return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in a norm of its own
+    return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in its own norm
 
 
 def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:
-    """Return whether bodies float, so that the rounding of their stiffness along rigid motions would enter the energy.
+    """Return whether bodies float, so that rounding of K along rigid motions would enter the energy.
 
-    Unknowns without stiffness are no bodies, nor are parts with more motions without energy than a body has.
+    Unknowns without stiffness, and parts with more free motions than a body has, are not bodies.
     """
     stiff = problem.diagonal > 0
     motions = int(np.sum(np.any(rigid.motions[stiff] != 0, axis=0)))

@@ -1,18 +1,18 @@
-"""What an answer violates: the worst contact or unknown, without dimension, in any units and any scale of rows.
+"""Compute the dimensionless violations of an answer at every contact and unknown, independent of units and scales.
 
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j (of a
 load that is known to be a sum, |f| is the sum of the sizes) and
 L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
 both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
-and L, u is the displacement without its rigid part. What is nothing beside the intrinsic size of problem and answer
-(`contactqp.linalg.measures`) violates nothing.
+and L, u is the displacement without its rigid part. What is negligible relative to the intrinsic size of problem and
+answer (`contactqp.linalg.measures`) counts as zero.
 
-Coulomb's law is judged in `contactqp.certificate.coulomb_law`, the balance of bodies that float in
-`contactqp.certificate.balance`. Here also are the norms that answers and differences between them are compared in,
+Coulomb's law is judged in `contactqp.certificate.coulomb_law`, the balance of floating bodies in
+`contactqp.certificate.balance`. Here are also the norms of answers and their differences,
 
     |v|_K^2 = v'Kv,    |d|_W^2 = the energy of the bodies' response to contact forces d.
 
-Differences come in as extended-precision vectors, so their norms mean something far beneath 1e-16 of the displacement.
+Differences are extended-precision vectors, so their norms are accurate far below 1e-16 of the displacement.
 """
 
 from __future__ import annotations
@@ -58,29 +58,29 @@ from contactqp.model.solution import Answer, Certificate, Nothing, Violations
 
 T = TypeVar("T")
 
-# Forces that are larger than a load by this factor hide it: a tolerance of 1e-9 of them is a thousandth of the load.
+# Forces larger than a load by this factor hide it, as a tolerance of 1e-9 of them is a thousandth of the load.
 HIDES = 1e6
-# By this one they drown it: their rounding is a thousandth of the load.
+# Beyond this factor their rounding is a thousandth of the load.
 DROWNS = 1e12
-# What rounding leaves of forces that cancel, in doubles, is below 1e-9 of this part of them.
+# The size for forces that cancel in doubles, relative to them; their rounding is below 1e-9 of it.
 ROUNDING_OF_SUMS = 4e-6
 # A load or an elastic force is notable from this part of the intrinsic size on.
 NOTABLE = 1e-6
 # Refinement that contracts less than this proves nothing.
 CONTRACTION = 0.5
-# Pivots flatter the condition of a matrix: the rounding of W was up to 1e2 times what they say over the families of
+# A safety factor on conditions estimated by pivots; the rounding of W was up to 1e2 times larger in the families of
 # `benchmarks/silently_wrong.py`.
 PIVOTS_FLATTER = 1e3
-# A norm that double precision knows to this part is known well enough for a bound.
+# The relative error up to which a norm in double precision suffices for a bound.
 FEW_DIGITS = 1e-4
 # Rounding of a double, and of v'Kv in extended precision, in units of FINE_EPS |v|'|K||v|.
 ROUNDING, PRODUCT = EPS, 16
-# Sweeps of refinement that a response may take, and the part of it that need not be known: good ones need two.
+# The most sweeps of refinement of a response (two usually suffice), and its relative tolerance.
 SWEEPS, ENOUGH = 8, 1e-9
-# A displacement's strain that is this part of what its unknowns, each alone, would cost is the rounding of a rigid
-# motion; so is a contact force's whose energy norm is this part of its size.
+# A strain below this part of the sum of K_jj u_j^2 is the rounding of a rigid motion, as is a contact force whose
+# energy norm is below this part of its size.
 RIGID_ROUNDING = 64 * EPS
-# Units 1/sqrt(K_jj) of unknowns that differ by no more than this are alike.
+# Units 1/sqrt(K_jj) of unknowns count as equal within this factor.
 UNITS_ALIKE = 1e3
 
 
@@ -113,7 +113,7 @@ def violations(
 
 
 def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
-    """Return the residuals of an answer in extended precision; those of the last answer are kept."""
+    """Return the residuals of an answer in extended precision, kept for the last answer."""
     return _kept(problem, answer, "residuals", partial(residuals, problem, answer))
 
 
@@ -124,9 +124,9 @@ def _kept(
     make: Callable[[], T],
     rigid: RigidMotions | None = None,
 ) -> T:
-    """Return the part of `OfAnswer` if it was made of this very answer to this very problem; else make it.
+    """Return a cached part of `OfAnswer` if it belongs to this answer and problem, else compute it.
 
-    An answer that its method looks at before it is certified is measured once. Arrays of both cannot be changed.
+    So an answer that its method examines before it is certified is measured once. The arrays are read-only.
     """
     given = (problem.load, problem.load_size, problem.gap, problem.tie_value, problem.slip_origin)
     given = (*given, *vars(answer).values(), rigid)
@@ -139,12 +139,12 @@ def _kept(
 
 
 def _forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector, hidden: Mask, size: Vector) -> Vector:
-    """Return the forces F (n,) by which residuals are measured where some of those that meet hide the load [force].
+    """Return the forces F (n,) by which residuals are measured, limited where large forces hide the load [force].
 
-    Contacts and ties that depend on each other may exert forces on each other of any size, in which a load would be
-    lost. Where all that meets is 1e6 times |f| + |K||u| and more, F is no more than what its rounding needs; where it
-    is 1e12 times that, the rounding alone may exceed the load, and F is |f| + |K||u|. So it is everywhere that this is
-    notable beside the intrinsic size, and in parts that have no size where every load of the part is hidden.
+    Self-equilibrated forces of dependent contacts and ties may have any size, relative to which a load would vanish.
+    Where the forces that meet are at least 1e6 times |f| + |K||u|, F is only as large as their rounding requires; where
+    they are 1e12 times that, their rounding may exceed the load, and F is |f| + |K||u|. This applies where the load is
+    notable relative to the intrinsic size, and in parts without a size in which every load is hidden.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _forces_that_count(problem: ContactProblem, acting: Vector, meeting: Vector,
 def _sizes(
     problem: ContactProblem, answer: Answer, rigid: RigidMotions | None
 ) -> tuple[Vector, Vector, Sizes, Slips | None]:
-    """Return what does not depend on which part of the size counts as none.
+    """Return the sizes that do not depend on the fraction that counts as zero.
 
     The displacement without its rigid part and the intrinsic size S, both (n,), the sizes by which residuals are
     measured, and the slips, or None without tangential rows.
@@ -264,11 +264,11 @@ def figures(
 def contact_status(problem: ContactProblem, certificate: Certificate) -> Any:
     """Return (m,) of "open", "closed", "grazing" and, with friction, "stick" and "slip".
 
-    A contact is closed where its force is not nothing and its gap, relative to the lengths that meet there, is at most
-    its force relative to the forces that meet, or at most `tolerance`; and where it is penetrated and pushes back, as
-    with a penalty. Other signs do not count: `tension` judges that of the force. A closed contact with friction slips
-    where its slip is more than `tolerance` of the lengths that meet. It is grazing where gap and force are both at most
-    `tolerance`, and the force is nothing beside the energy.
+    A contact is closed if its force is not zero and its gap, relative to the lengths that meet there, is at most its
+    force relative to the forces that meet, or at most `tolerance`; and also if it is penetrated with a compressive
+    force, as with a penalty. The sign of the force is judged by `tension`. A closed contact with friction slips if its
+    slip exceeds `tolerance` of the lengths that meet. A contact is grazing if gap and force are both at most
+    `tolerance`, and the force is negligible in energy.
     """
     grazing = np.zeros(problem.contacts, dtype=bool)
     grazing[list(certificate.grazing)] = True
@@ -292,10 +292,9 @@ def status_words(certificate: Certificate, friction: Vector | None, grazing: Mas
 
 
 def energy_norm(problem: ContactProblem, displacement: Extended | Vector) -> tuple[float, float]:
-    """Return |v|_K [square root of energy] and a bound on its error: even extended precision rounds a large rigid
-    motion.
+    """Return |v|_K [square root of energy] and a bound on its error, as by rounding of a large rigid motion.
 
-    In double precision, unless that rounds away more than a few digits.
+    It is computed in double precision, unless that loses more than a few digits.
     """
     v = displacement if isinstance(displacement, np.ndarray) else displacement.double()
     u = abs(v)
@@ -317,10 +316,10 @@ def energy_norms(
     displacement: Extended,
     counted: tuple[float, float] | None = None,
 ) -> tuple[float, float]:
-    """Return the least and the most that |v|_K may be, K's rounding along rigid motions being counted or not.
+    """Return the least and the largest |v|_K, with and without the rounding of K along rigid motions.
 
-    That rounding makes K z of a rigid motion z a force of either sign: where v is nearly rigid, v'Kv may be more or
-    less than the energy of its strain, which is that of v without its rigid part.
+    By this rounding K z of a rigid motion z is a force of either sign, and for a nearly rigid v, v'Kv may differ from
+    the energy of its strain, that of v without its rigid part.
 
     Parameters
     ----------
@@ -365,7 +364,7 @@ def force_norm(
         if operator.smallest_pivot >= REGULAR:
             square, size = operator.squared_norm(d)
             rounding = PIVOTS_FLATTER * condensation.lost_digits / operator.smallest_pivot * size
-            if rounding <= FEW_DIGITS * square and square > 0:  # squares of very small forces are zero
+            if rounding <= FEW_DIGITS * square and square > 0:  # squares of very small forces underflow
                 return float(np.sqrt(square)), float(rounding / np.sqrt(square))
     held = extend(np.zeros(problem.ties)) if tie_force is None else tie_force
     load = extended_rows(problem).contact_force(force, held)
@@ -377,8 +376,8 @@ def force_norm(
 def response(problem: ContactProblem, condensation: Condensation, load: Extended, tied: bool) -> tuple[Extended, float]:
     """Return the displacement u under a load with all contacts open, and a bound on its error in the energy norm.
 
-    K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P leaves the part of the load out that drives
-    motions which nothing resists.
+    K u + A'eta = P load and A u = 0 where tied, K u = P load where not; P removes the part of the load that drives free
+    motions.
 
     Parameters
     ----------
@@ -402,9 +401,9 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     du, dn, first = step(load)
     u, eta = u + du, eta + dn
     foreseen = (saddle.contraction or 1.0) * CAUTION
-    if foreseen <= ENOUGH or not first:  # another load has shown what the next sweep leaves to do
+    if foreseen <= ENOUGH or not first:  # the contraction is known from another load
         return u, 2 * foreseen * first + left
-    # As a rule the next sweep shows that nothing is left to do, and residuals in double precision can tell.
+    # Usually the next sweep confirms convergence, for which residuals in double precision suffice.
     held = problem.stiffness_rows @ u.double() + problem.tie.T @ eta.double()
     du, _, size = step(extend(load.double() - held))
     if size <= ENOUGH * first:
@@ -421,10 +420,10 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
 
 
 def _free_motions(problem: ContactProblem, condensation: Condensation, saddle: SaddlePoint, tied: bool) -> Vector:
-    """Return the motions (n, q) that nothing resists, known to a few eps at every unknown.
+    """Return the free motions (n, q), accurate to a few eps at every unknown.
 
-    Orthonormal ones are so in units of the unknowns that are alike. In others what has cancelled at an unknown is a
-    rounding of the largest entry in units of 1/sqrt(K_jj); one correction by K z in extended precision removes that.
+    Orthonormal ones are so if the units of the unknowns are similar. Otherwise entries have rounding errors of the
+    largest entry in units of 1/sqrt(K_jj), which one correction by K z in extended precision removes.
     """
     motions, scale = free_motions(condensation, saddle), problem.own_scale
     if not motions.shape[1] or scale.max() <= UNITS_ALIKE * scale.min():
@@ -442,11 +441,11 @@ def _free_motions(problem: ContactProblem, condensation: Condensation, saddle: S
 def _left_along(
     problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
 ) -> float:
-    """Bound the response, in the energy norm, to what rounding leaves of a load that motions (n, q) or ties take.
+    """Bound the response, in the energy norm, to the rounding of a load balanced by motions (n, q) or ties.
 
-    Orthonormal motions Z are known to a few eps, or to what ties resist of them, and so are Z Z'f, which is taken away
-    of a load f, and what ties take of it: of the response at most so many |D (|f| + |Z||Z|'|f|)| / sqrt(e) is left,
-    with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
+    Orthonormal motions Z are accurate to a few eps, or to their resistance by ties, and so is Z Z'f, which is
+    subtracted from a load f, and the part balanced by ties. The response to the error is at most a multiple of |D (|f|
+    + |Z||Z|'|f|)| / sqrt(e), with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
     """
     held = tied and problem.ties > 0
     if not (motions.shape[1] or held):
@@ -459,20 +458,20 @@ def _left_along(
 
 
 def _resisted(problem: ContactProblem, motions: Vector) -> float:
-    """Return how much ties resist motions (n, q), relative to the terms that should cancel."""
+    """Return the products of ties with motions (n, q), relative to the terms that should cancel."""
     most = abs(problem.tie).sum(axis=1)[:, None] * np.max(abs(motions), axis=0, initial=0.0)
     return float(np.max(abs(problem.tie @ motions) / np.where(most > 0, most, 1.0), initial=0.0))
 
 
 def without_part_along(motions: Vector, vector: Extended) -> Extended:
-    """Return a vector less its part along orthonormal motions (n, q)."""
+    """Return a vector without its part along orthonormal motions (n, q)."""
     if not motions.shape[1]:
         return vector
     return vector - motions @ (motions.T @ vector.double())
 
 
 def residual_noise(problem: ContactProblem, answer: Answer) -> float:
-    """Bound what the rounding d of a residual may hide, |D d| / sqrt(least eigenvalue of DKD).
+    """Bound the energy norm of the response to the rounding d of a residual, |D d| / sqrt(least eigenvalue of DKD).
 
     A residual is formed so that |d_j| <= FINE_EPS F_j.
     """
@@ -481,7 +480,7 @@ def residual_noise(problem: ContactProblem, answer: Answer) -> float:
 
 
 def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: Vector) -> float:
-    """Return the energy norm of the rounding of a rigid displacement; zero where nothing floats."""
+    """Return the energy norm of the rounding of a rigid displacement, zero if nothing floats."""
     if not rigid.count:
         return 0.0
     size = abs(displacement)
@@ -491,7 +490,7 @@ def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: V
 def own_forces(problem: ContactProblem, push: Vector, tie_force: Vector) -> Vector:
     """Return |l_i| |E_i D| (m + k,), the size of each contact's and tie's force at its own unknowns [root of energy].
 
-    D = 1/sqrt(K_jj), as where all other unknowns are held.
+    D = 1/sqrt(K_jj), as for all other unknowns fixed.
     """
     compliance = np.concatenate([row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tie)])
     return np.asarray(np.sqrt(compliance) * abs(np.concatenate([push, tie_force])))

@@ -1,16 +1,15 @@
-"""Norms of contact forces in the energy of the bodies, and the lengths that refined answers have in their scale.
+"""Norms of contact forces in the energy of the bodies, for the bounds with friction.
 
-Forces d have the length |d|_W; `ForceNorms` says how large the force, gap and slip of one contact are at most where
-that is one.
+Forces d have the norm |d|_W; `ForceNorms` gives the largest force, gap and slip of each contact for |d|_W = 1.
 
-Bodies that contacts alone hold have no W: with its joints eliminated as far as they can be, R x = free - W d - V c for
-the contact rows R, c being how far the bodies are moved rigidly, and forces balance where V'd is given. Differences d
-of two answers to one load then have V'd = 0, the energy d'W d, and change the lengths R u by W d + V c. Balance alone
-settles some contacts: where l_N + a.l_T is in the range of V' for some a, its value b follows from the load, and l_N
->= b / (1 + mu |a|) in every answer. Contacts whose b is positive are closed in all of them, those whose forces follow
-from the load wholly, within the friction bound, stick. Their lengths do not change, which gives c by d as far as V of
-these rows has rank; motions that are left must move no contact with friction along its tangents. `BalancedForces` has
-the norms of forces d that balance, and
+Bodies held by contacts only have no W: with joints eliminated as far as possible, R x = free - W d - V c for the
+contact rows R, with the rigid displacements c, and forces balance if V'd has a given value. Differences d of two
+answers to one load then have V'd = 0, the energy d'W d, and change the lengths R u by W d + V c. Balance determines the
+states of some contacts: if l_N + a.l_T is in the range of V' for some a, its value b follows from the load, and l_N >=
+b / (1 + mu |a|) in every answer. Contacts with positive b are closed in all answers, and those with statically
+determined forces within the friction bound stick. Their lengths do not change, which determines c by d as far as V of
+these rows has rank; the remaining motions must not displace contacts with friction along their tangents.
+`BalancedForces` has the norms of forces d that balance, and
 
     kappa = largest eigenvalue of 1/2 sum mu_i (c_i d_N,i^2 + |e_i|^2 / c_i) by d'W d >= sum mu_i |d_N,i| |e_i| / d'W d
 
@@ -47,26 +46,26 @@ from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
-# Beyond this part, rounding of W leaves too little of kappa and of the norms of its blocks.
+# The largest relative rounding of W for which kappa and norms of its blocks are used.
 TOO_ROUNDED = 1e-2
-# Rows of about unit length that a motion moves by less do not move; those that move by less than the other, hardly.
+# Products of unit rows with a motion that count as zero, and those that are uncertain.
 NOT_MOVED, HARDLY_MOVED = 1e-12, 1e-6
-# A combination of forces is determined by balance where so little of it is beyond the range, and positive where it is
-# this part of the largest force.
+# A combination of forces is determined by balance if its part outside the range is below the first number, and positive
+# above the second part of the largest force.
 DETERMINED, BEYOND_ROUNDING = 1e-11, 1e-9
-# Gaps of this part of the largest length are closed.
+# Gaps below this part of the largest length count as closed.
 CLOSED = 1e-9
-# A norm that sees less than this part of a motion is blind.
+# A norm is blind to a motion if it has less than this part of it.
 SEEN = 1e-9
 
 
 def rigid_uncertainty(
     compliance: ContactCompliance, status: Status, refined: RefinedLengths, mu: Vector
 ) -> tuple[float, bool]:
-    """Bound how far the refined answer may be moved rigidly, by the gaps and slips of contacts that hold bodies.
+    """Bound the rigid displacement of the refined answer by the gaps and slips of contacts that hold bodies.
 
-    Return also whether motions are left that nothing resists. The bound is infinite where contacts slip along these:
-    whether friction balances the load there is decided by rounding.
+    Also return whether free motions remain. The bound is infinite if contacts slip along these, as rounding then
+    decides whether friction balances the load.
 
     Parameters
     ----------
@@ -97,14 +96,13 @@ class ForceNorms:
     gap: Vector  # of (W d)_N
     slip: Vector  # of (W d)_T
 
-    allowance: float  # the relative error of W^-1 and of kappa by the rounding of W, which the norms contain
+    allowance: float  # the relative error of W^-1 and kappa by rounding of W, included in the norms
 
     @staticmethod
     def nearby(compliance: ContactOperators, lost_digits: float, status: Status, mu: Vector) -> ForceNorms | None:
-        """Return those of answers whose open contacts stay open and, in the plane, whose slips keep their direction.
+        """Return the norms for answers with the same open contacts and, in the plane, the same slip directions.
 
-        There l_T = mu l_N s, whose difference is no force of its own: tangential rows of contacts that slip may depend
-        on others.
+        In the plane l_T = mu l_N s is no separate force, so that tangential rows of slipping contacts may be dependent.
 
         Parameters
         ----------
@@ -121,7 +119,7 @@ class ForceNorms:
     ) -> ForceNorms | None:
         """Return the norms of forces on the rows that act (m, d), and on ties where a body floats.
 
-        None where these rows depend on one another, or so nearly that rounding leaves nothing of their inverse.
+        None if these rows are dependent up to rounding.
 
         Parameters
         ----------
@@ -164,7 +162,8 @@ class ForceNorms:
 
 
 def _joined(acting: Mask, drag: Vector | None, ties: int) -> Array | None:
-    """Return the forces on rows that act, and on ties, of which others are combined (q + k, p + k); None where all are.
+    """Return the forces on acting rows and ties as combinations (q + k, p + k) of independent ones, None if all are
+    independent.
 
     Parameters
     ----------
@@ -181,7 +180,7 @@ def _joined(acting: Mask, drag: Vector | None, ties: int) -> Array | None:
 
 
 def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
-    """Return the distances (m,) at which contacts can be in another state, in the norm that forces and slips have.
+    """Return the distances (m,) beyond which contacts can be in another state, in the norm of forces and slips.
 
     Parameters
     ----------
@@ -198,14 +197,14 @@ def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: V
 
 
 def wedged(compliance: ContactOperators, mu: Vector, refined: RefinedLengths) -> bool:
-    """Return whether a contact is closed whose gap ties hold and whose slip they do not: any force may press it."""
+    """Return whether ties fix the gap but not the slip of a closed contact, so that its force is arbitrary."""
     felt, lengths_there = felt_rows(compliance), np.column_stack([refined.normal, refined.gap, refined.slip])
     least = refined.correction + CLOSED * np.max(abs(lengths_there), initial=0.0)
     return bool(np.any(~felt[:, 0] & felt[:, 1:].any(axis=1) & (mu > 0) & (refined.gap <= least)))
 
 
 def over(size: Vector, norm: Vector) -> Vector:
-    """Return size / norm, infinite where nothing changes the size."""
+    """Return size / norm, infinite if the norm is zero."""
     return np.divide(size, norm, out=np.full_like(size, np.inf), where=norm > 0)
 
 
@@ -215,7 +214,7 @@ def largest_eigenvalues(blocks: Array) -> Vector:
 
 
 def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tuple[ForceNorms | None, float]:
-    """Return the norms of forces on all contacts, and kappa; None and infinite where W has no inverse."""
+    """Return the norms of forces on all contacts, and kappa; None and infinite if W is singular."""
     if problem.contacts > MOST_CONTACTS:
         return None, np.inf
     norms = ForceNorms.of(compliance, 0.0, rows_with_friction(compliance, problem.friction))
@@ -228,7 +227,7 @@ def norms_of_all_rows(compliance: ContactOperators, problem: LocalProblem) -> tu
 def norms_of_skew(
     compliance: ContactOperators, W: Array, mu: Vector, lost_digits: float = 0.0, acting: Mask | None = None
 ) -> tuple[ForceNorms | None, float]:
-    """Return the same of an operator W that is not symmetric, by its symmetric part H.
+    """Return the norms and kappa of an unsymmetric operator W, by its symmetric part H.
 
     |(Wd)_i| <= w_i |d|_H with w_i^2 the largest eigenvalue of (W H^-1 W')_ii, and for any c_i > 0
 
@@ -250,7 +249,7 @@ def norms_of_skew(
     half[rows] = inverse_of_lower(np.linalg.cholesky(compliance.W[np.ix_(rows, rows)])).T
     felt = (W @ half).reshape(m, d, -1)
     slip, gap = more * np.sqrt(largest_eigenvalues(felt[:, 1:] @ felt[:, 1:].swapaxes(1, 2))), felt[:, 0]
-    if not acting.all():  # what is open may be pressed in another answer
+    if not acting.all():  # open contacts may have a force in another answer
         of_all = norms_of_skew(compliance, W, mu, lost_digits)[0]
         gap = np.full((m, 1), np.inf) if of_all is None else of_all.gap[:, None]
     gap = more * np.linalg.norm(gap, axis=1)
@@ -265,19 +264,19 @@ class Eliminated:
     W: Array  # (d q, d q), not symmetric where others slip in the plane
     whole: Array  # T (d m, d q)
     energy: Array  # T'W T
-    response: Array  # (d q, p) of these rows to a unit of each force that was eliminated
-    inverse: Array  # |M^-1| (p, p) of those forces, by what their rows miss
+    response: Array  # (d q, p) response of these rows to unit eliminated forces
+    inverse: Array  # |M^-1| (p, p), from residuals of their rows to those forces
     own: Array  # |P'W P| (p, p)
     held: Indices  # (p,) the rows that keep their length
-    forces: Array  # P (d m, p): what a unit of each eliminated force is on all rows
-    growth: float  # |M| |M^-1|, by which rounding of W grows
+    forces: Array  # P (d m, p): forces on all rows by unit eliminated forces
+    growth: float  # |M| |M^-1|, the amplification of rounding of W
 
 
 def eliminated(compliance: ContactOperators, status: Status, mu: Vector, law: Mask) -> Eliminated | None:
     """Eliminate the closed contacts but those of `law` (m,): they keep their gap, and slip where they stick.
 
-    In the plane one that slips has l_T = mu l_N s. None where that system has no inverse, or where some friction of
-    `law` moves nothing.
+    In the plane a slipping one has l_T = mu l_N s. None if that system is singular, or if some friction of `law` has no
+    effect.
 
     Parameters
     ----------
@@ -310,18 +309,18 @@ def eliminated(compliance: ContactOperators, status: Status, mu: Vector, law: Ma
 
 @dataclass(frozen=True, eq=False)
 class BalancedForces:
-    """What differences of forces do that balance on bodies which contacts alone hold."""
+    """Norms of balanced differences of forces on bodies held by contacts only."""
 
-    norms: ForceNorms  # a gap that rigid motions change freely is infinite
+    norms: ForceNorms  # infinite for gaps that rigid motions change freely
     kappa: float
-    gap: Vector  # (m,) by which gaps of the refined answer may be off
-    slip: Vector  # (m,) the same of its slips
-    moved: Array  # (m, d, r) gaps and slips of a unit of each rigid motion
-    motions: int  # those that move bodies
-    always: bool  # no motion moves a contact along tangents with friction: an equilibrium exists
+    gap: Vector  # (m,) errors of gaps of the refined answer
+    slip: Vector  # (m,) errors of its slips
+    moved: Array  # (m, d, r) gaps and slips by unit rigid motions
+    motions: int  # coordinates that displace bodies
+    always: bool  # no motion slides a contact with friction, so an equilibrium exists
 
     def settled_by(self, closed: Mask, sticks: Mask) -> bool:
-        """Return whether no rigid motion leaves the gaps of some contacts (m,) and the slips of others as they are."""
+        """Return whether fixing the gaps of some contacts (m,) and the slips of others prevents all rigid motions."""
         rows = np.vstack([self.moved[closed, 0], self.moved[sticks, 1:].reshape(-1, self.moved.shape[2])])
         return len(rows) >= self.motions and int(np.linalg.matrix_rank(rows, HARDLY_MOVED)) == self.motions
 
@@ -331,8 +330,8 @@ def balanced_forces(
 ) -> BalancedForces | None:
     """Return the norms of differences of forces that balance, and kappa.
 
-    None where contact rows depend on one another, where a motion along which a contact has friction is not settled by
-    balance, and where rounding leaves too little of this.
+    None if contact rows are dependent, if balance does not determine a motion along which a contact has friction, or if
+    rounding is too large.
 
     Parameters
     ----------
@@ -374,10 +373,10 @@ def balanced_forces(
 def part_that_is_seen(
     problem: ContactProblem, condensation: Condensation, mu: Vector, refined: RefinedLengths
 ) -> float:
-    """Return the least |v|^2 of v'Kv + sum K_jj v_j^2 for |v|_M = 1, v a difference of two answers; 0 if that is blind.
+    """Return the least v'Kv + sum K_jj v_j^2 for |v|_M = 1, v a difference of two answers; 0 if the norm is blind.
 
-    It is one at least where every unknown has a stiffness; of others ties, and contacts that balance settles, say where
-    they are.
+    It is at least one if every unknown has stiffness; others are determined by ties, and by contacts whose states
+    follow from balance.
 
     Parameters
     ----------
@@ -405,7 +404,7 @@ def part_that_is_seen(
 
 
 def _rigid_lengths(compliance: ContactOperators) -> tuple[Array, Array, int]:
-    """Return W and V of the bodies as ties hold them, and how many motions move them that ties do not prevent."""
+    """Return W and V of the tied bodies, and the number of motions that ties do not prevent."""
     values, vectors = np.linalg.eigh(compliance.J)
     held = abs(values) > FLOATING * np.max(abs(values), initial=1.0)
     V = compliance.V @ vectors
@@ -414,21 +413,23 @@ def _rigid_lengths(compliance: ContactOperators) -> tuple[Array, Array, int]:
 
 
 def rows_with_friction(compliance: ContactOperators, mu: Vector) -> Mask:
-    """Return the rows (m, d) that move something and on which a force may act."""
+    """Return the rows (m, d) with compliance on which a force may act."""
     rows = compliance.felt
     rows[:, 1:] &= (mu > 0)[:, None]
     return rows
 
 
 def _in_balance(V: Array) -> Array | None:
-    """Return an orthonormal basis of what balance determines of forces, the range of V; None where that is in doubt."""
+    """Return an orthonormal basis of the forces determined by balance, the range of V; None if its rank is
+    uncertain.
+    """
     U, size, _ = np.linalg.svd(V, full_matrices=False)
     felt = size > NOT_MOVED * np.max(size, initial=0.0)
     return None if not len(V) or np.any(size[felt] < HARDLY_MOVED) else U[:, felt]
 
 
 def _settled_by_balance(U: Array, rows: Indices, mu: Vector, refined: RefinedLengths) -> Indices:
-    """Return the contact rows whose lengths are zero in every answer, since balance closes or sticks their contacts.
+    """Return the contact rows with zero lengths in every answer, whose contacts are closed or stick by balance.
 
     Parameters
     ----------
@@ -458,7 +459,7 @@ def _settled_by_balance(U: Array, rows: Indices, mu: Vector, refined: RefinedLen
 
 
 def _carried(V: Array, held: Indices) -> tuple[Array, Array]:
-    """Return how all rows move rigidly with held ones (n, p), and in the motions in which these do not move (n, q)."""
+    """Return the rigid displacements of all rows by those of fixed ones (n, p), and by the remaining motions (n, q)."""
     turned, size, motions = np.linalg.svd(V[held])
     rank = int(np.sum(size > HARDLY_MOVED))
     return V @ (motions[:rank].T / size[:rank]) @ turned[:, :rank].T, V @ motions[rank:].T
@@ -467,7 +468,7 @@ def _carried(V: Array, held: Indices) -> tuple[Array, Array]:
 def _half_inverse(
     basis: Array, W: Array, size: Vector, lost_digits: float, of_stiffness: float
 ) -> tuple[Array, float] | None:
-    """Return X with X'B'W B X = 1 for a basis B, and the relative error of its squares; None where that is large.
+    """Return X with X'B'W B X = 1 for a basis B, and the relative error of its squares; None if that is large.
 
     Parameters
     ----------

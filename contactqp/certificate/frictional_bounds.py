@@ -1,7 +1,8 @@
-"""How far an answer with friction is from the truth: proven bounds where the law leaves one answer, or one nearby.
+"""Prove bounds on the distance of an answer with friction from an equilibrium, if it is unique or the only one nearby.
 
-Coulomb's law is no minimisation, but its distance to any equilibrium is bounded by what a candidate violates of it. Let
-W be the compliance of all contact rows (W_NN and W_TT its blocks of normal and tangential rows), |v|_K^2 = v'Kv and
+Coulomb's law is no minimisation, but the distance of a candidate to any equilibrium is bounded by its violations of the
+law. Let W be the compliance of all contact rows (W_NN and W_TT its blocks of normal and tangential rows), |v|_K^2 =
+v'Kv and
 |d|_W^2 = d'Wd. Of forces l let w be their displacement, K w = f - E'l - A'nu, A w = b, with gaps g_i and slips s_i; of
 an equilibrium u*, l* likewise g* and s*. With d = l - l*, W d is (g - g*, s* - s), and
 
@@ -22,46 +23,46 @@ kappa (`critical_friction`), by which sum mu_i |d_N,i| |(Wd)_T,i| <= kappa |d|_W
 
     (1 - kappa) |d|_W^2 <= b |d|_W + c,                                                                     (5)
 
-b and c sums of what l violates, t, |s| of sticking contacts and z. For kappa < 1 this bounds the distance to every
-equilibrium, in the plane and in space: `scope` is "global". It is applied to the answer of the candidate's own
+with b and c sums of the violations of l: t, |s| of sticking contacts and z. For kappa < 1 this bounds the distance to
+every equilibrium, in the plane and in space: `scope` is "global". It is applied to the answer of the candidate's own
 combination of open, stick and slip, refined in twice double precision, for which b and c are rounding; the distance of
 the candidate to that answer is added.
 
-Where kappa is not below 1 the combination itself is looked at. If every sign holds by a margin, an equilibrium nearer
-than r, the least margin over its V_i or w_i, has the same combination: what is open stays open, so that d acts on the
-closed contacts alone, in the plane with d_T = mu d_N s where they slip, and V_i^2 is that of what is left. That
-combination has one answer: in the plane that of a linear system, in space where a smaller constant, in which slipping
-contacts alone count (`slips_nearby`), is below 1: slips are then the only zero of a continuous, strongly monotone map
-on a ball, and one is there (Brouwer), since what the refined slips leave is less than the map grows by within the ball;
-elsewhere by Newton and Kantorovich, as `SlipsNearby.settled` says. `scope` is "local", `radius` is r in the energy
+If kappa is not below 1, the combination itself is examined. If every sign holds by a margin, an equilibrium nearer than
+r, the least margin over its V_i or w_i, has the same combination: what is open stays open, so that d acts on the closed
+contacts alone, in the plane with d_T = mu d_N s where they slip, and V_i^2 is that of the remaining rows. That
+combination has one answer: in the plane that of a linear system, in space if a smaller constant of the slipping
+contacts only (`slips_nearby`) is below 1: slips are then the only zero of a continuous, strongly monotone map on a
+ball, which exists (Brouwer), since the residual of the refined slips is less than the growth of the map within the
+ball; otherwise by Newton and Kantorovich, see `SlipsNearby.settled`. `scope` is "local", `radius` is r in the energy
 norm.
 
 Where some contacts have no margin (at a border of stick and slip, closed without force), r is the least margin of the
 others. These keep their states, and are eliminated: d = T d_L, and W' d_L are the gaps and slips of the contacts L at
-the borders, and in space of those that slip. (2) to (5) hold of d_L on W' in the norm of its symmetric part H, whatever
-states L is in, with a kappa of its own: where that is below 1 one equilibrium at most is nearer than r. One is there:
-W' being positive definite, forces with given friction bounds are unique, no larger than |q|, and continuous in the
-bounds (Brouwer); it is no further than (5) says times the largest |T d|_W / |d|_H, which is less than r.
+the borders, and in space of those that slip. (2) to (5) hold for d_L on W' in the norm of its symmetric part H,
+whatever the states of L, with another kappa: where that is below 1 one equilibrium at most is nearer than r. It exists:
+as W' is positive definite, forces with given friction bounds are unique, at most |q|, and continuous in the bounds
+(Brouwer); its distance is at most that of (5) times the largest |T d|_W / |d|_H, which is less than r.
 
 In the plane, with few contacts, the only equilibrium nearby is the only one where the determinants of all combinations
 have one sign (`critical_friction`): `scope` is then "global", too.
 
-A body that contacts alone hold has no W. Differences d balance on it, and (1) to (5) hold with the W, norms and kappa
-of `force_norms.BalancedForces`, w being moved rigidly such that rows that balance settles miss nothing. Contacts that
-keep their states by more than the bound that follows do so in every answer; where they say where bodies are, it is
-"global". One is there where no rigid motion moves contacts along tangents with friction, since balance then leaves
-normal forces whatever the bounds of friction are (Kakutani), and where the answer has a margin. Otherwise nearer than r
-means in the norm of M = S + A'A + Z Z' on the retained unknowns, in which springs hold the rigid motions Z
+A body held by contacts only has no W. Differences d balance on it, and (1) to (5) hold with the W, norms and kappa of
+`force_norms.BalancedForces`, with w displaced rigidly such that rows determined by balance have no error. Contacts that
+keep their states by more than the resulting bound do so in every answer; if they determine the position of the bodies,
+the scope is "global". An equilibrium exists if no rigid motion slides contacts with friction, since balance then admits
+normal forces for any friction bounds (Kakutani), or if the answer has a margin. Otherwise "nearer than r" is meant in
+the norm of M = S + A'A + Z Z' on the retained unknowns, in which springs fix the rigid motions Z
 (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties
 B, which balance on Z, satisfy y'B M^-1 B'y <= y'B S^+ B'y = |v|_K^2, so that V_i^2 = ((B M^-1 B')^-1)_ii bounds them.
 As S_jj <= K_jj, |v|_M is at most the norm of v'Kv + sum K_jj v_j^2, in which
-`radius` is then stated, smaller by what that does not see of unknowns without stiffness (`part_that_is_seen`).
+`radius` is then stated, reduced for unknowns without stiffness (`part_that_is_seen`).
 
-Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa
-and V_i, w_i are raised by what rounding of W can make of them, by the pivots of its factors, and by what rounding of
-a soft stiffness makes of W itself (`contactqp.linalg.delassus`). It is an a-posteriori estimate, not an interval
-enclosure. Where bodies may move rigidly and nothing resists, "local" holds but for that; where contacts slip along such
-a motion rounding would decide whether friction balances the load, and nothing is claimed.
+Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa,
+V_i and w_i are increased for rounding of W, by the pivots of its factors, and for the effect of rounding of a soft
+stiffness on W (`contactqp.linalg.delassus`). It is an a-posteriori estimate, not an interval enclosure. With free rigid
+motions, "local" holds up to these; if contacts slip along such a motion, rounding would decide whether friction
+balances the load, and nothing is claimed.
 """
 
 from __future__ import annotations
@@ -117,11 +118,11 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import GLOBALLY, LOCALLY, Answer
 
-# Operators of local problems are symmetric to the rounding of their entries, or to no more than this.
+# The largest asymmetry of local problems that counts as rounding.
 SYMMETRIC = 1e-15
 FLOATS = "a body is held by contacts alone"
-# A contact whose distance from another state is this part of the largest is at a border, or one so many times nearer
-# than the answer that is judged.
+# A contact is at a border of states if its distance from another state is below this part of the largest, or this many
+# times smaller than that of the answer.
 AT_BORDER, FAR_ENOUGH = 1e-9, 4.0
 ROWS_DEPEND = "contact rows depend on one another, or nearly: compliance has no inverse"
 WEDGED = "ties close a contact with friction, which may press with any force"
@@ -148,7 +149,7 @@ def frictional_bounds(
 def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer, compared: Compared) -> Bounds | str:
     if (reason := too_many(problem, condensation, nearby=True)) is not None:
         return reason
-    others = too_many(problem, condensation)  # why other equilibria far away are not excluded
+    others = too_many(problem, condensation)  # reason why other equilibria far away are not excluded
     compliance = contact_compliance(problem, condensation)
     if compared.refined.redundant:
         return ROWS_DEPEND
@@ -176,9 +177,9 @@ def _proven(problem: ContactProblem, condensation: Condensation, answer: Answer,
 def _balanced_distance(
     problem: ContactProblem, compared: Compared, refined: RefinedLengths, balanced: BalancedForces
 ) -> float | None:
-    """Bound |d|_W where contacts alone hold bodies; None where kappa is not below one, or bodies may be elsewhere.
+    """Bound |d|_W for bodies held by contacts only; None if kappa is not below one, or their position is undetermined.
 
-    Contacts whose forces keep their state by more than the bound do so in every answer, and say where bodies are.
+    Contacts whose forces keep their state by more than the bound do so in every answer and determine the position.
     """
     mu, norms = _coefficient(problem, compared), balanced.norms
     if not balanced.kappa < 1:
@@ -198,7 +199,7 @@ def _proven_nearby(
     refined: RefinedLengths,
     others: str,
 ) -> Bounds | str:
-    """Return the local statement where every sign holds by a margin, or the reason why there is none.
+    """Return the local statement if every sign holds by a margin, else the reason why there is none.
 
     Parameters
     ----------
@@ -245,7 +246,8 @@ def _proven_nearby(
 def _nearest(
     slips: SlipsNearby | None, refined: RefinedLengths, norms: ForceNorms, left: float, margin: float
 ) -> tuple[float, float] | float:
-    """Return how far the only equilibrium in its states is at most, and how far no other is; else the constant nearby.
+    """Return a bound on the distance of the only equilibrium in its states and the radius without others, or the
+    constant.
 
     Parameters
     ----------
@@ -265,7 +267,7 @@ def _nearest(
     found = slips.settled(refined.normal[slides], refined.slip[slides], norms.allowance, margin)
     if found is None:
         return nearby
-    # What refinement leaves moves slips, which J^-1 (J - I) takes to y, and forces, which J^-1 does.
+    # Residuals of refinement change slips, mapped to y by J^-1 (J - I), and forces, mapped by J^-1.
     left = left * slips.growth
     error = ((1 + 2 * found.inverse) * left + float(found.spread @ off)) / found.slack
     return (error, found.radius) if error < found.radius else nearby
@@ -274,10 +276,10 @@ def _nearest(
 def _at_borders(
     compliance: ContactOperators, status: Status, mu: Vector, refined: RefinedLengths, lost_digits: float, around: float
 ) -> tuple[ForceNorms, float, float] | None:
-    """Return norms, the distance of the only equilibrium nearby and the radius where some contacts have no margin.
+    """Return norms, the distance of the only equilibrium nearby and the radius if some contacts have no margin.
 
-    All others keep their states within the radius and are eliminated; what remains, and in space what slips, is the
-    law on W' of `eliminated`, to which (5) applies in any states. None where its constant is not below one.
+    All others keep their states within the radius and are eliminated; for the remaining contacts, and in space slipping
+    ones, (5) applies on W' of `eliminated` in any states. None if its constant is not below one.
 
     Parameters
     ----------
@@ -319,8 +321,8 @@ def _error_at_borders(
 ) -> float:
     """Bound |l - l*|_W from the refined forces l to those of the equilibrium that has `law` at the borders.
 
-    Beside l are forces that are l on `law`, and elsewhere meet what their states ask for: they differ by M^-1 of what l
-    misses there. From these to l* it is T d of (5) for `law`, whose lengths the difference changes as well.
+    Forces equal to l on `law` that satisfy the conditions of their states elsewhere differ from l by M^-1 times its
+    residuals there. From these to l* the difference is T d of (5) for `law`, whose lengths also change.
 
     Parameters
     ----------
@@ -376,12 +378,12 @@ def _distance(
     bound = mu * held
     moved = np.maximum(lengths(refined.slip) - off_slip, 0.0)
     still = lengths(refined.slip) + off_slip
-    # Slipping: h_T along the slip, whose direction is known to what its rounding turns it by.
+    # Slipping: h_T along the slip, whose direction has an error by rounding.
     turned = np.divide(2 * off_slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
     in_space = refined.slip.shape[1] > 1  # where directions are doubles
     along = lengths(refined.friction - bound[:, None] * directions(refined.slip)) + bound * np.minimum(turned, 2.0)
     along += in_space * ROUNDED * bound
-    # Sticking: h_T the nearest point of the disc, and what slips is counted.
+    # Sticking: h_T is the nearest point of the disc, and slips count as errors.
     within = lengths(refined.friction - onto_discs(refined.friction, bound))
     within += np.where(refined.room(mu) < 0, ROUNDED * bound, 0.0)
     as_slipping = along * norms.slip
@@ -412,10 +414,10 @@ def _bounds(
     compliance: ContactCompliance,
     distance: float,
 ) -> Bounds:
-    """Return the bounds of an answer from the distance of its combination's refined answer."""
+    """Return the bounds of an answer from the error bound of its combination's refined answer."""
     found, m, more = compared.refined, problem.contacts, norms.allowance
     moved, pushed = compared.displacement + distance, compared.force * (1 + more) + distance
-    # Where nothing is strained, or no contact pushes, that error is absolute; where either may, it is not known.
+    # Without strain, or without contact force, that error is absolute; if this is uncertain, there is none.
     least = NEXT_TO_NOTHING * max(compared.strain, compared.size)
     strain, size = (part if part > least else 0.0 for part in (compared.strain, compared.size))
     known = distance <= least
@@ -440,7 +442,7 @@ def _bounds(
 
 @dataclass(frozen=True, eq=False)
 class LocalBounds:
-    """The bounds of forces of a local problem, and the equilibria that they hold for."""
+    """The bounds of forces of a local problem, with their scope."""
 
     force_error: float  # >= |r - r*|_W / |r*|_W, absolute where r* vanishes
     force_bound: Vector  # (m,) >= |r_i - r_i*| [force]
@@ -449,7 +451,7 @@ class LocalBounds:
 
 
 def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBounds | str:
-    """Return bounds of forces r (m, d) of a local problem that are taken to be in these states (m,), or why not.
+    """Return bounds of forces r (m, d) of a local problem in these states (m,), or the reason for none.
 
     W is that of the problem, the displacement of (1) any whose gaps and slips are u = W r + q. Where W is not symmetric
     d'W d is that of its symmetric part, and slips nearby that turn are those of Newton and Kantorovich alone.
@@ -462,7 +464,7 @@ def local_bounds(problem: LocalProblem, force: Array, status: Status) -> LocalBo
         return f"{problem.contacts} contacts: too many for dense operators"
     W, n, mu = problem.scaled_delassus.toarray(), len(problem.offset), problem.friction
     sign = np.tile(np.r_[1.0, -np.ones(problem.dimension - 1)], problem.contacts)
-    W = W * np.outer(sign, sign)  # r_T = -l_T, and slips nearby depend on the sign of what couples them to r_N
+    W = W * np.outer(sign, sign)  # r_T = -l_T, and nearby slips depend on the sign of their coupling to r_N
     none, scale = np.zeros((n, 0)), 1 / problem.contact_scale
     compliance = ContactOperators((W + W.T) / 2, none, none[:0], scale, 0, W.diagonal())
     found = refined_forces(problem, force, status)

@@ -1,9 +1,9 @@
-"""Rows that constrain nothing: contacts with a gap of infinity, which never close, and rows of zeros.
+"""Remove idle rows, contacts with infinite gaps and rows of zeros, before solving and certifying, and restore them.
 
-A row of zeros says 0 <= g or 0 = b of a node that is fixed: it is met, and then its force is 0, or it proves that there
-is no equilibrium. What solves and what certifies sees the other rows alone.
+A row of zeros states 0 <= g or 0 = b, as for a fixed node: it is satisfied, and its force is 0, or there is no
+equilibrium.
 
-Ties that depend on others constrain nothing more than these: they are found, and named, at the end of this file.
+Ties that depend on others are found at the end of this file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Nothing, Violations
 
-# What `Violations` has for every contact.
+# The arrays of `Violations` with an entry for every contact.
 _OF_CONTACTS = (
     "penetration",
     "tension",
@@ -46,7 +46,7 @@ _OF_CONTACTS = (
 )
 
 
-# Quantities and parameters that have a part for each contact.
+# Quantities and parameters with entries for each contact.
 _BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "slip_origin", "rows")
 
 
@@ -54,7 +54,7 @@ _BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "sli
 class ActingRows:
     """The contacts and ties whose rows are not zero, and the problem with these alone.
 
-    `repeats` are ties that are left out as they repeat others, with these, where derivatives ask for that.
+    `repeats` are ties that repeat others, with these, left out for derivatives.
     """
 
     whole: ContactProblem
@@ -65,12 +65,12 @@ class ActingRows:
 
     @property
     def met(self) -> bool:
-        """Return whether every row of zeros is met."""
+        """Return whether every row of zeros is satisfied."""
         contacts, ties = _others(self.whole.contacts, self.contacts), _others(self.whole.ties, self.ties)
         return not (np.any(self.whole.gap[contacts] < 0) or np.any(self.whole.tie_value[ties] != 0))
 
     def refuse_conflict(self) -> None:
-        """Raise NoEquilibrium where a row of zeros is not met: 0 <= g < 0, or 0 = b."""
+        """Raise NoEquilibrium if a row of zeros is not satisfied: 0 <= g < 0, or 0 = b with b not zero."""
         whole = self.whole
         for name, called, limit, idle in (
             ("normal", whole.contact_name, whole.gap, _others(whole.contacts, self.contacts)),
@@ -128,7 +128,9 @@ class ActingRows:
         return replace(self.start(solution), contact_status=status, certificate=certificate)
 
     def part(self, name: str, values: Any) -> Any:
-        """Return what belongs to the acting rows of a quantity or a parameter that has a part for each row, or all."""
+        """Return the part of a quantity or parameter for the acting rows, or all of it if it has no part for each
+        row.
+        """
         if name in ("tie_force", "tie_value"):
             return values[self.ties]
         return values[self.contacts] if name in _BY_CONTACT else values
@@ -154,7 +156,7 @@ class ActingRows:
         return _others(self.whole.contacts, self.contacts)
 
     def without_answer(self, name: str, values: Any = None) -> str:
-        """Return why there is no answer towards a side, or empty: a row of zeros is met no more if its data change.
+        """Return why there is no answer in a direction, in which a row of zeros is violated, else an empty string.
 
         Parameters
         ----------
@@ -218,7 +220,7 @@ class ActingRows:
     def certificate(self, certificate: Any, answer: Answer) -> Any:
         """Return the certificate of the whole problem's answer from that of the acting rows.
 
-        A force on a row that constrains nothing is refused, as is a row of zeros that is not met.
+        A force on an idle row is refused, as is a row of zeros that is not satisfied.
         """
         if certificate.violations is None:
             return certificate
@@ -292,9 +294,9 @@ class ActingRows:
 
 
 def forces_without_law(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector, Vector]:
-    """Return what forces that the law makes zero do to the unknowns (n,), and their normal and tangential sizes (m,).
+    """Return E'l (n,) of forces that the law requires to be zero, and their normal and tangential sizes (m,).
 
-    Normal forces and friction of contacts that never close, and friction where the coefficient is zero.
+    These are forces of contacts that never close, and friction with a coefficient of zero.
     """
     never = np.isinf(problem.gap)
     push, friction = np.where(never, answer.normal_force, 0.0), np.zeros(problem.contacts)
@@ -307,9 +309,9 @@ def forces_without_law(problem: ContactProblem, answer: Answer) -> tuple[Vector,
 
 
 def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate: Certificate) -> Certificate:
-    """Return a certificate in whose errors of the forces those count that the law makes zero.
+    """Return a certificate whose force errors include forces that the law requires to be zero.
 
-    Other bounds compare with an answer that has none, and do not see them. They are measured by the energy of the
+    Other bounds compare with an answer without them and do not include them. They are measured by the energy of the
     bodies' response, beside that of the contact forces and the strain, in units in which the problem's numbers are near
     one; where the bodies are not condensed by |D E'l| with D = 1/sqrt(K_jj).
     """
@@ -344,10 +346,7 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
 
 
 def _energies(problem: ContactProblem, answer: Answer) -> tuple[float, float, float]:
-    """Return sizes of the response to the forces that the law makes zero, to all others, and of the displacement.
-
-    The numbers of the problem are near one; the sizes are roots of energies.
-    """
+    """Return the energy norms of the response to forces that should be zero, to all others, and of the displacement."""
     load = forces_without_law(problem, answer)[0]
     if not (np.isfinite(load).all() and abs(load).max() <= ABSURD):
         return np.inf, 0.0, 0.0
@@ -366,7 +365,7 @@ def _energies(problem: ContactProblem, answer: Answer) -> tuple[float, float, fl
 
 
 def acting_rows(problem: ContactProblem) -> ActingRows | None:
-    """Return the rows of a problem that are not zero; None where all of them act."""
+    """Return the acting rows of a problem, None if all of them act."""
     idle_contacts, idle_ties = problem.idle_rows()
     if not (idle_contacts.any() or idle_ties.any()):
         return None
@@ -386,9 +385,7 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
 
 
 def acting_once(problem: ContactProblem) -> ActingRows | None:
-    """Return the rows of a certified problem that act without ties that repeat others, to the last digit of rows and
-    values; None where all do.
-    """
+    """Return the acting rows of a certified problem without exactly repeated ties, None if all act."""
     rows = acting_rows(problem) if problem.has_idle_rows else None
     inner = problem if rows is None else rows.problem
     found = [
@@ -408,13 +405,13 @@ def acting_once(problem: ContactProblem) -> ActingRows | None:
 
 
 def _data_of_tie(problem: ContactProblem, tie: int) -> tuple[Vector, int]:
-    """Return the row of a tie with its value (n + 1,), and the place of the largest entry of the row."""
+    """Return the row of a tie with its value (n + 1,), and the index of the largest entry of the row."""
     row = problem.tie[[tie]].toarray().ravel()
     return np.append(row, problem.tie_value[tie]), int(np.argmax(abs(row)))
 
 
 def _repeats(problem: ContactProblem, tie: int, kept: int) -> bool:
-    """Return whether a tie is another one times a number, as products of doubles with their errors tell."""
+    """Return whether a tie is exactly a multiple of another one, by exact products of doubles."""
     (one, _), (other, place) = _data_of_tie(problem, tie), _data_of_tie(problem, kept)
     return all(map(np.array_equal, two_product(one, other[place]), two_product(other, one[place])))
 
@@ -441,16 +438,16 @@ def _pushes(problem: ContactProblem, answer: Answer) -> tuple[Vector, Vector]:
     return push, np.where(np.any(held & (answer.friction_force != 0), axis=1), 1.0, drag)
 
 
-# A row that makes less than this part of another takes no part in it, both of unit length.
+# Weights below this do not count in a dependence of unit rows.
 NO_PART = 1e-9
-# What is left of a dependent row of unit length, once those that make it are taken away: rounding of sparse factors.
+# The residual of a dependent unit row, by rounding of sparse factors.
 VERIFIED, MOST_VERIFIED = 1e-10, 100
 
 
 def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple[tuple[int, Indices], ...]:
-    """Return the ties that depend on others, and on which; they are found once for the rows of a problem.
+    """Return the ties that depend on others, with these, found once for the rows of a problem.
 
-    They are those that get no force where all ties act; a value that conflicts is refused elsewhere (`existence`).
+    They are those without force if all ties act; contradicting values are refused in `existence`.
     """
     if problem._computed.dependent_ties is None:
         rows = condensation.tie * condensation.scale
@@ -465,10 +462,10 @@ def dependent_ties(problem: ContactProblem, condensation: Condensation) -> tuple
 
 
 def sharing_unknowns(rows: Any) -> Indices:
-    """Return the rows of a CSR matrix that may take part in a dependence: others touch each of their unknowns, too.
+    """Return the rows of a CSR matrix that may be dependent, as they share each of their unknowns with others.
 
-    A row with an unknown of its own depends on no others, and none depends on it; it is left out, and so are then those
-    of which it was the only neighbour at an unknown.
+    A row with an unshared unknown is independent and is left out, and then so are rows with which it was the only one
+    to share an unknown.
     """
     left = np.arange(rows.shape[0])
     while left.size:
@@ -483,7 +480,7 @@ def sharing_unknowns(rows: Any) -> Indices:
 
 
 def dependent_sparse_ties(problem: ContactProblem) -> tuple[tuple[int, Indices], ...]:
-    """Return `dependent_ties` where ties are many, by sparse factors of their Gram matrix; at most MOST_VERIFIED."""
+    """Return `dependent_ties` of many ties, by sparse factors of their Gram matrix, at most MOST_VERIFIED."""
     if problem._computed.dependent_ties is None:
         ties = sharing_unknowns(problem.tie)
         length = np.sqrt(np.asarray(problem.tie.multiply(problem.tie).sum(axis=1)).ravel()[ties])

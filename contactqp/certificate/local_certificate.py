@@ -1,25 +1,24 @@
-"""Judging forces of a local problem: each contact in its own measure, and the errors that other codes publish.
+"""Judge the forces of a local problem, each contact in its own measure, and compute the errors published by other
+codes.
 
 At contact i let L_N be its normal row of |W||r| + |V||l| + |q|, the size of the normal velocities that meet there, and
 L_T the larger of its tangential rows. A normal velocity is measured as its size over L_N, a slip as its size over L_T,
 a normal force as w_N |r| / L_N and friction as w_T |r| / L_T, w_N = W_NN and w_T the largest |entry| of W_TT of the
-contact alone; 0/0 is 0. A slip that is large beside the gap hides no overlap, and a contact that is far hides nothing
-at another: what is less than 1e-12 of the largest velocity that drives or answers, both as roots of energies, is
-rounding and counts as none, and offsets of open contacts are not among these. All measures survive a change of units
-and common scaling of a contact's rows, the natural map too (`scaled_natural_map`); the errors that are published do
-not, and have no part in the verdict.
+contact alone; 0/0 is 0. So a large slip hides no overlap, and a distant contact no other one: only values below 1e-12
+of the largest driving or responding velocity (roots of energies, without offsets of open contacts) count as zero. All
+measures survive a change of units and common scaling of a contact's rows, the natural map too (`scaled_natural_map`);
+the published errors do not, and are not part of the verdict.
 
-Whether the forces are the only ones is told as far as the Delassus operator and the state of contacts tell it.
-Velocities: `contactqp.certificate.critical_friction` on W; where it does not exclude other answers, they may exist.
-Forces: with B the directions in which closed contacts push (a contact that sticks in all, one that slips along its
-force on the cone), others belong to the same velocities where [[B'WB, B'V], [V'B, R]] is singular. Each contact is
-scaled to a compliance of one.
+Uniqueness is examined by the Delassus operator and the states of contacts. Velocities:
+`contactqp.certificate.critical_friction` on W; if it does not exclude other answers, they may exist. Forces: with B the
+directions in which closed contacts push (a contact that sticks in all, one that slips along its force on the cone),
+forces for given velocities are not unique if [[B'WB, B'V], [V'B, R]] is singular. Each contact is scaled to a
+compliance of one.
 
-The errors that other codes publish are computed by their own formulas under their own names: to compare with, not to
-judge by. All of them take the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to
-velocities: they depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or
-slip of each contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u -
-slip_origin).
+The errors published by other codes are computed by their own formulas under their own names, for comparison only. All
+of them use the natural map with rho = 1, n = r - P_K(r - u - mu |u_T| e_N), which adds forces to velocities: they
+depend on units and on how a problem is scaled. r is the force on the body and u the velocity, gap or slip of each
+contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T), u = (g - E_N u, E_T u - slip_origin).
 """
 
 from __future__ import annotations
@@ -48,17 +47,17 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
 from contactqp.model.solution import LocalCertificate
 
-# Operators further from symmetric than this, the tolerance of the verdict, are said to be.
+# Operators with a larger asymmetry than this, the tolerance of the verdict, are noted as unsymmetric.
 ASYMMETRIC_BY_ROUNDING = 1e-9
 
-# Rows whose matrix has a larger reciprocal condition, which is estimated to a factor of some ten, are independent.
+# Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.
 SURELY_INDEPENDENT = 1e-6
 
 _critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
 
 
 def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Uniqueness:
-    """Say whether the forces are the only ones; `along` (m, d) are the force directions of contacts that slip."""
+    """Return findings on uniqueness of the forces; `along` (m, d) are the force directions of slipping contacts."""
     if not problem.contacts or not np.any(problem.friction > 0):
         return Uniqueness()
     notes = []
@@ -119,7 +118,7 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
     size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), TINY))
     scaled = matrix / np.outer(size, size)
     if not np.all(np.isfinite(scaled)):
-        return False  # forces beyond the floats, along which nothing can be said
+        return False  # forces overflow
     factor, _, failed = lapack().dgetrf(scaled)
     if not failed and lapack().dgecon(factor, np.linalg.norm(scaled, 1))[0] > SURELY_INDEPENDENT:
         return False
@@ -127,7 +126,7 @@ def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -
     return bool(values[-1] <= DEPENDENT_ROWS * values[0])
 
 
-# Siconos divides by no scale that is smaller than these.
+# The smallest scales by which Siconos divides.
 LEAST_LOCAL_SCALE, LEAST_GLOBAL_SCALE = 2.0**-52, 2.0**-26
 
 
@@ -264,9 +263,9 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     return array.reshape(shape)
 
 
-# Velocities and forces of this part of the largest, as roots of energies, are rounding.
+# Velocities and forces below this part of the largest, as roots of energies, are rounding errors.
 NOTHING = 1e-12
-# What the last digits of forces make of a velocity, and of the direction of a slip, over the velocities that meet.
+# The error of velocities and slip directions by the last digits of forces, relative to the velocities that meet.
 ROUNDING_OF_VELOCITIES = 4 * EPS
 
 FIGURES = ("penetration", "tension", "complementarity", "cone", "slip_direction", "joints")
@@ -318,7 +317,7 @@ def certify_local(
 def with_uniqueness(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
 ) -> LocalCertificate:
-    """Return `certify_local` without bounds, which may cost more than the forces.
+    """Return the certificate of `certify_local` without bounds, which may cost more than the forces.
 
     Parameters
     ----------
@@ -340,7 +339,7 @@ def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> S
 def judged(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
 ) -> LocalCertificate:
-    """Return `certify_local` without looking for other answers, which would cost more than the rest.
+    """Return the certificate of `certify_local` without findings on uniqueness, which cost more than the rest.
 
     Parameters
     ----------
@@ -353,7 +352,7 @@ def judged(
 def _measured(
     problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
 ) -> _Measured | None:
-    """Return the figures of forces, None where one is not finite; raise where a tolerance is none."""
+    """Return the figures of forces, None if one is not finite; raise InvalidProblem for an invalid tolerance."""
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {shown(tolerance)}")
@@ -435,7 +434,7 @@ class _Measured:
     def _measure(self, force: Vector, kind: int) -> Vector:
         """Return the measure of normal (0) or tangential (1) forces (m,) by their effect on the velocities that meet.
 
-        Where they do nothing there, the largest entry of the block and the larger of both velocities are the measure.
+        If they have no effect, the largest entry of the block and the larger of both velocities are used.
         """
         met, own = (self._along, self._across)[kind], self._own[kind]
         any_own, any_met = np.max(self._own, axis=0), np.maximum(self._along, self._across)
@@ -444,7 +443,7 @@ class _Measured:
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
     def verdict(self, tolerance: float) -> LocalCertificate:
-        """Return the certificate with these figures, which says nothing of other answers."""
+        """Return the certificate with these figures, without findings on uniqueness."""
         r, u = self._force, self._velocity
         residual = float(np.linalg.norm(natural_map(r, u, self._problem.friction)))
         figures: dict[str, Any] = {name: float(np.max(getattr(self, name), initial=0.0)) for name in FIGURES}
@@ -453,12 +452,12 @@ class _Measured:
             "siconos_error": _siconos_error(self._problem, r, residual, u),
         }
         failures = [self.failure(name, tolerance) for name in FIGURES if not figures[name] <= tolerance]
-        if not errors["natural_map"] <= tolerance:  # NaN, where forces leave the doubles
+        if not errors["natural_map"] <= tolerance:  # NaN if forces overflow
             failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
         return _certificate({**errors, **figures}, tuple(failures), tolerance, self.slip, self.push)
 
     def state(self, tolerance: float) -> tuple[Mask, Mask, Array]:
-        """Return which contacts are closed and which stick, (m,) each, and along what the slipping ones push (m, d)."""
+        """Return closed and sticking contacts, (m,) each, and the force directions of slipping ones (m, d)."""
         closed = (self.push > tolerance) | (self.gap <= tolerance)
         stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
         drag = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
@@ -472,7 +471,7 @@ class _Measured:
 
 
 def _part(size: Vector, whole: Vector) -> Vector:
-    """Return size / whole with 0/0 = 0, also where the reciprocal of the whole is no double."""
+    """Return size / whole with 0/0 = 0, also if the reciprocal of the whole overflows."""
     return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
 
 

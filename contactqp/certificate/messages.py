@@ -1,4 +1,4 @@
-"""What a certificate refuses, in words: what failed, where, by how much, in the user's names and units."""
+"""Write the messages of a certificate: what failed, where and by how much, in the user's names and units."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
-# Grazing contacts, and dependent ties, that a note names.
+# The most grazing contacts, and dependent ties, named in a note.
 MOST_NAMED = 8
-# Why answers have no bounds whose numbers cannot be computed with.
+# The reason why answers with unusable numbers have no bounds.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
 
@@ -60,7 +60,7 @@ def of_part(problem: Named, name: str, values: Array, i: int) -> str:
 
 
 def of_absurd_part(problem: Named, name: str, values: Array, i: int) -> str:
-    """Return the message that entry i of a part of an answer exceeds all that the problem's numbers could cause.
+    """Return the message that entry i of a part of an answer is absurdly large for the problem's numbers.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def of_absurd_part(problem: Named, name: str, values: Array, i: int) -> str:
 
 
 def of_hidden_strain(problem: Named, displacement: Vector) -> str:
-    """Return the message that a displacement moves so far that its rounding hides what is strained."""
+    """Return the message that a displacement is so large that its rounding hides the strain."""
     i = int(np.argmax(abs(displacement)))
     return (
         f"unproven: {displacement[i]:.3g}{_with_unit(problem.units.length)} at {problem.dof_name(i)} is so large a "
@@ -115,7 +115,7 @@ def of_balance(figure: float, tolerance: float) -> str:
 
 
 def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int, tolerance: float) -> str:
-    """Return the message that unknown, contact or tie i misses a figure other than balance.
+    """Return the message that unknown, contact or tie i violates a figure other than balance.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int,
 
 
 def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
-    """Return the message that a contact misses the law of contact and friction.
+    """Return the message that a contact violates the law of contact and friction.
 
     Parameters
     ----------
@@ -191,9 +191,9 @@ def _with_unit(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-# Rows that are a sum of others but for this part of its terms, the rounding of the weights, say nothing of their own.
+# Rows are redundant if they are a sum of others up to this part of its terms, the rounding of the weights.
 SUMMED = 16 * EPS
-# Of an answer without friction; with it `contactqp.certificate.uniqueness` says so.
+# A note for answers without friction; with friction see `contactqp.certificate.uniqueness`.
 NEARLY_DEPENDENT = "ties that nearly depend on each other prescribe more than doubles tell; state them apart"
 FORCES_NOT_UNIQUE = (
     "forces are not unique: closed contacts or ties depend on each other, and other answers share their forces "
@@ -202,7 +202,7 @@ FORCES_NOT_UNIQUE = (
 
 
 def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
-    """Return that lengths up to a floor count as nothing, the gap of a contact among them."""
+    """Return the note that lengths up to a floor count as zero, including the gap of a contact."""
     return (
         f"the gap of {problem.contact_name(contact)}, {abs(problem.gap[contact]):.3g}, is not told from zero: lengths "
         f"up to {floor:.3g} count as nothing beside loads and other gaps: the stiffness there is very small; contacts "
@@ -228,7 +228,7 @@ def of_dependent_ties(problem: ContactProblem, dependent: Sequence[tuple[int, In
 def of_missed_ties(
     problem: ContactProblem, answer: Answer, dependent: Sequence[tuple[int, Indices]], tolerance: float
 ) -> Iterator[str]:
-    """Yield that a tie is missed that the bounds have set aside: where the others are met it misses rounding alone.
+    """Yield the message that a dependent tie, which the bounds leave out, is violated beyond rounding.
 
     Parameters
     ----------
@@ -248,9 +248,9 @@ def of_missed_ties(
 
 
 def _summed(rows: Any, tie: int, others: Indices) -> bool:
-    """Return whether a tie (row of (k, n) rows) is a sum of others to rounding of the weights, and prescribes no more.
+    """Return whether a tie (row of (k, n) rows) is a sum of others, value included, up to rounding of the weights.
 
-    Its figure judges it then as theirs do: how far its value is from theirs is no matter of the answer.
+    Then its figure judges it like theirs, as the difference of values does not depend on the answer.
     """
     columns = np.unique(rows[[tie, *others]].indices)
     row, basis = rows[[tie]][:, columns].toarray()[0], rows[others][:, columns].toarray()
@@ -281,7 +281,7 @@ def of_grazing(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...]:
-    """Say of which contacts (k,) the friction is not determined, because it acts on supports."""
+    """Return the note on contacts (k,) whose friction is not determined, as it acts on supports."""
     if not len(contacts):
         return ()
     names = ", ".join(problem.contact_name(int(i)) for i in contacts[:MOST_NAMED])
@@ -293,14 +293,14 @@ def of_friction_on_supports(problem: Named, contacts: Indices) -> tuple[str, ...
 
 
 def of_rigid_motions(bounds: Bounds) -> str:
-    """Say that the stiffness was taken to be zero along rigid motions, and whether that is proven."""
+    """Return the note that K was set to zero along rigid motions, and whether that is proven."""
     taken = "the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make"
     unsure = "; whether it is rounding that resists them is not known: stated in near_null_space, they are exact"
     return f"{taken} {bounds.cleared:.2g} of the forces there{unsure if bounds.estimated else ''}"
 
 
 def of_estimates(bounds: Bounds) -> Iterator[str]:
-    """Yield the notes that errors are estimated and not proven, or proven but for motions that nothing resists."""
+    """Yield the notes that errors are estimated and not proven, or proven up to free motions."""
     if bounds.estimated and not bounds.cleared:
         yield "nothing was factorised: energy_error and force_error are estimates from Ritz values, no proof"
     if bounds.free:
@@ -308,7 +308,7 @@ def of_estimates(bounds: Bounds) -> Iterator[str]:
 
 
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:
-    """Say which distances of a frictional answer from that of its own states are too large.
+    """Return the message on too large distances of a frictional answer from that of its own states.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def of_distances(problem: Named, worst: int, relative: dict[str, float], toleran
 def not_finite(
     frictional: bool, failures: list[str], tolerance: float, error_tolerance: float, reason: str = NOT_FINITE
 ) -> Certificate:
-    """Return the certificate of an answer with parts that are not finite, or as good as that: it fails.
+    """Return the failing certificate of an answer with parts that are not finite, or absurdly large.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
-"""How far an answer is from the truth where nothing can be factorised: bounds from products and conjugate gradients.
+"""Bound the distance of an answer from the solution by products and conjugate gradients, without a factorisation.
 
 Let v satisfy E v <= g, A v = b, let l >= 0 and nu be any forces, w the response to them, K w = f - E'l - A'nu. Then
 (`bounds`, equation 1)
 
     |v - u*|^2 + |w - u*|^2 <= G^2 = |v - w|^2 + 2 l'(g - E v),    |v - w|^2 = r'K^-1 r,    r = f - K v - E'l - A'nu,
 
-and |l - l*|_W <= |w - u*|_K <= G. v is the candidate moved onto the ties and onto the contacts with
-l_i > (g - E u)_i / (E_i D^-1 E_i'), D = diag K: those that it penetrates, and those that cost less when closed than
-2 l_i (g - E u)_i. The distance |v - u|_K is added. l are the candidate's forces without tension.
+and |l - l*|_W <= |w - u*|_K <= G. v is the candidate moved onto the ties and onto the contacts with l_i > (g - E u)_i /
+(E_i D^-1 E_i'), D = diag K: penetrated ones, and those whose closing costs less than 2 l_i (g - E u)_i. The distance |v
+- u|_K is added. l are the candidate's forces without tension.
 
 r'K^-1 r is enclosed from k steps of preconditioned conjugate gradients on K e = r (`krylov`): no
 eigenvalue of M K exceeds one (`contactqp.linalg.multigrid`), and
@@ -17,8 +17,8 @@ eigenvalue of M K exceeds one (`contactqp.linalg.multigrid`), and
 until the last term, with the least Ritz value of the run, of at least ENOUGH_STEPS steps, over SAFETY for the
 eigenvalue, is at most GENEROUS times the left side. Ritz values estimate that eigenvalue from above: the bound
 is an a-posteriori estimate, no enclosure; where M is a factorisation refinement bounds r'K^-1 r (`refined_norm`). The
-estimate fails where r misses, to rounding, a motion along which M is SAFETY times
-worse than along all that the run has met.
+estimate fails if r has no component, beyond rounding, along a motion for which M is SAFETY times worse than for all
+others of the run.
 
 |l*|_W >= |l|_W - G, and |l|_W >= l'E v / |v|_K for any v that moves no tie; v = M E'l is nearly the best.
 
@@ -38,26 +38,26 @@ from contactqp.certificate.bounds import Bounds, no_bounds, relative_error
 from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.model.arrays import EPS, Indices, Vector
 
-# Refinement that contracts less than this proves nothing, as in `figures`.
+# The least contraction of refinement, as in `figures`.
 CONTRACTION = 0.5
 SAFETY = 10.0
-# The unknown part of r'K^-1 r over the known one: it makes the bound five times too large at most.
+# The largest ratio of the unknown part of r'K^-1 r to the known one; the bound is then at most five times too large.
 GENEROUS = 25.0
-# What is left to gain is rounding of what was gained: further steps would go along nothing, anywhere.
+# Further steps are within rounding of the previous ones.
 EXHAUSTED = EPS**2
-# The same where residuals are formed in double precision.
+# The same for residuals in double precision.
 ITERATED_NOTHING = 1e-10
-# Steps of the longest run that Ritz values are believed of.
+# The least number of steps of the longest run for Ritz values to be used.
 ENOUGH_STEPS, MOST_STEPS = 8, 60
-# Rounding of a residual or a gap that is formed in double precision, relative to the forces or lengths that meet.
+# Rounding of a residual or a gap in double precision, relative to the forces or lengths that meet.
 ROUNDING_OF_PRODUCTS = 16 * EPS
-# Corrections of the set that the candidate is moved onto.
+# The most corrections of the set onto which the candidate is moved.
 REPAIRS = 8
-# A penetration of this part of its lengths is the rounding of a closed contact.
+# A penetration below this part of its lengths is rounding of a closed contact.
 CLOSED = 1e-14
 
 
-# Of the response to r, what refinement has to leave of it.
+# The tolerance of refinement of the response to r.
 FEW_DIGITS = 1e-4
 SWEEPS = 20
 
@@ -127,7 +127,7 @@ def _forces(problem: Limits, answer: Forces, given: Vector, iteration: ContactIt
 
 
 def balanced_forces(problem: Limits, displacement: Vector, forces: Vector, iteration: ContactIteration) -> Vector:
-    """Return contact and tie forces (m + k,), changed least to balance the load on rigid motions of the bodies.
+    """Return contact and tie forces (m + k,) with the least change that balances the load on rigid motions.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def balanced_forces(problem: Limits, displacement: Vector, forces: Vector, itera
     if not iteration.floating.count:
         return forces
     residual = problem.load - iteration.product(displacement) - iteration.forces(forces)
-    # In parts of themselves: contact forces that are changed little stay pressure.
+    # The change is relative, so that contact forces stay compressive.
     contact = np.arange(len(forces)) < len(problem.gap)
     return forces + iteration.balanced(residual, np.where(contact, forces, 1 / iteration.own_compliance))
 
@@ -158,10 +158,11 @@ def _responses(iteration: ContactIteration, r: Vector, change: Vector) -> tuple[
 
 
 def refined_norm(iteration: ContactIteration, force: Vector) -> float | None:
-    """Bound sqrt(r'K^-1 r) from above where M is the inverse of K up to rounding; None where refinement denies that.
+    """Bound sqrt(r'K^-1 r) from above if M is the inverse of K up to rounding; None if refinement does not confirm
+    this.
 
-    e = M r, then M (r - K e), and so on: as each is at most CONTRACTION of the one before, all that would follow is no
-    larger than the last.
+    e = M r, then M (r - K e), and so on: as each is at most CONTRACTION of the one before, the remaining sum is at most
+    the last.
     """
     left = iteration.deflated(force).copy()
     response, last, first = np.zeros_like(left), np.inf, 0.0
@@ -181,8 +182,8 @@ def refined_norm(iteration: ContactIteration, force: Vector) -> float | None:
 def dual_norm(iteration: ContactIteration, force: Vector, learned: bool = False) -> float:
     """Estimate sqrt(r'K^-1 r) from above [square root of energy].
 
-    Its eigenvalue is that of its own run, so that the estimate depends on nothing but K and r; where `learned`, those
-    of earlier runs serve too, which saves steps.
+    The eigenvalue is that of this run, so that the estimate depends on K and r only; with `learned`, those of earlier
+    runs are also used, which saves steps.
     """
     if not iteration.any(force != 0):
         return 0.0
@@ -194,7 +195,7 @@ def dual_norm(iteration: ContactIteration, force: Vector, learned: bool = False)
             (iteration.least_eigenvalue, iteration.longest_run) if learned else (run.least_eigenvalue(), run.steps)
         )
         rest = SAFETY * square / least if least > 0 else np.inf
-        exhausted = square <= EXHAUSTED * run.gained  # of few unknowns: Ritz values of so few steps are right
+        exhausted = square <= EXHAUSTED * run.gained  # few unknowns, for which Ritz values are accurate
         ended = exhausted or (longest >= ENOUGH_STEPS and rest <= GENEROUS * (run.gained + square))
         if ended or run.steps >= MOST_STEPS or not run.step():
             return float(np.sqrt(run.gained + rest))
@@ -248,10 +249,10 @@ def _repaired(
 
 
 def _closed_onto(iteration: ContactIteration, rows: Indices, limit: Vector, u: Vector) -> tuple[Vector, Vector]:
-    """Return u moved onto the limits of some rows, and the gaps of all rows there."""
+    """Return u moved onto the limits of some rows, and the gaps of all rows at this displacement."""
     held = iteration.held(rows, limit[rows])
     v = u.copy()
-    for _ in range(2):  # the second time takes out the rounding of the first
+    for _ in range(2):  # the second time removes rounding of the first
         held.close(v)
     return v, limit - iteration.lengths(v)
 

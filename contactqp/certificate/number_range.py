@@ -1,12 +1,12 @@
-"""Problems whose numbers are far from one, in units in which they are near one.
+"""Change the units of problems whose numbers are far from one, so that they are near one.
 
 With u = l D v, rows E = R E' / D and forces R^-1 l w, the problem K, f, E, g is the problem
 
     K' = D K D,   f' = D f / l,   E' = R^-1 E D,   g' = R^-1 g / l
 
 with the same answer, and energies l^2 times as large. D gives K' a diagonal near one, R gives rows entries near one,
-and l (the square root of an energy) the same to loads, overlaps and ties. All of them are powers of two: nothing is
-rounded, and no square of a number leaves the range of doubles (1e-308 to 1e308) unless the answer itself does.
+and l (the square root of an energy) the same to loads, overlaps and ties. All of them are powers of two, so nothing is
+rounded, and squares of numbers stay in the range of doubles (1e-308 to 1e308) unless the answer does not.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import FARTHEST, are_near_one
 from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
 
-# Displacements and forces beyond this (1e60), in units in which the problem's numbers are near one, answer nothing.
+# Displacements and forces beyond this (1e60), in units in which the problem's numbers are near one, are absurd.
 ABSURD = 2.0**200
-# Gaps beyond this part of the lengths that move are as far as that: nothing that is no absurd answer reaches them.
+# Gaps beyond this multiple of the lengths are only reached by absurd answers.
 FAR_AWAY = 2.0**300
-# Tangential rows that are so much smaller or larger than the normal row of their contact have a unit of their own.
+# Tangential rows smaller or larger than the normal row by more than this have a separate unit.
 OWN_UNIT = 60
-# Largest entries of rows at unknowns without stiffness that are alike (1e3), also beside those at stiff unknowns in
-# units of these. Of unknowns in units further apart K, which sees some alone, would measure forces by these.
+# The range (1e3) within which largest entries of rows at unknowns without stiffness count as similar, also to those at
+# stiff unknowns in their units. In units further apart, forces would be measured by the stiff unknowns only.
 ALIKE_UNKNOWNS = 10
-# Entries of a row that differ by more than this factor (7e19) are no rounding of each other.
+# Entries of a row that differ by more than this factor (7e19) are not related by rounding.
 NO_ROUNDING = 66
-# Coefficients of friction of such contacts, in these units, at least; beneath it they hold nothing.
+# The least coefficient of friction of such contacts in these units; a smaller one has no effect.
 LEAST_FRICTION = 2.0**-900
-# Binary exponents of sizes of which squares, and products of squares and other sizes, are doubles.
+# The range of binary exponents in which squares, and their products with other sizes, do not overflow.
 OF_SQUARES = 500
-# Says of a problem that it is one in these units.
+# Marks a problem in these units.
 BROUGHT = "brought"
-# The exponent of zero, and one that all doubles in all units are above.
+# The exponent of zero, and a lower bound of all others.
 NONE, LEAST = -(10**6), -(10**5)
-# Of the options of methods those that are stiffnesses of contacts, by whose rows they act.
+# The options of methods that are contact stiffnesses, with the rows along which they act.
 STIFFNESSES = {"penalty": "contacts", "perturbation": "contacts", "tangential_penalty": "tangents"}
 
 
@@ -61,7 +61,7 @@ class NearOne:
     contacts: Index  # (m,) those of R, of the normal rows
     tangents: Index  # (m,) of the tangential rows
     ties: Index  # (k,)
-    length: int  # that of l
+    length: int  # the exponent of l
 
     def answer(self, answer: Answer) -> Answer:
         """Return an answer of the problem in these units."""
@@ -74,7 +74,7 @@ class NearOne:
         )
 
     def whole_answer(self, answer: Answer) -> Answer:
-        """Return an answer in these units as one of the problem; InvalidProblem where it exceeds doubles."""
+        """Return an answer in the units of the problem; raise InvalidProblem if it overflows."""
         changed = dict(
             displacement=np.ldexp(answer.displacement, self.unknowns + self.length),
             normal_force=np.ldexp(answer.normal_force, self.length - self.contacts),
@@ -95,7 +95,7 @@ class NearOne:
         return replace(solution, problem=self.problem, answer=self.answer(solution.answer))
 
     def options(self, options: dict[str, Any]) -> dict[str, Any]:
-        """Return the options of a method in these units: contact stiffnesses are scaled, all others stay."""
+        """Return the options of a method in these units, with contact stiffnesses scaled."""
         rows_of = {name: getattr(self, rows) for name, rows in STIFFNESSES.items() if options.get(name) is not None}
         return options | {name: np.ldexp(np.asarray(options[name], float), 2 * row) for name, row in rows_of.items()}
 
@@ -104,21 +104,21 @@ class NearOne:
         return np.asarray(np.ldexp(displacement, -self.unknowns - self.length))
 
     def coefficients(self, coefficients: Vector) -> Vector:
-        """Return coefficients of friction in these units as those of the problem."""
+        """Return coefficients of friction in the units of the problem."""
         return np.asarray(np.ldexp(coefficients, self.contacts - self.tangents))
 
     def motions(self, found: tuple[FreeMotion, ...]) -> tuple[FreeMotion, ...]:
-        """Return free motions as those of the problem, with a largest component of one."""
+        """Return free motions in the units of the problem, with a largest component of one."""
         return tuple(replace(one, direction=self._largest_one(one.direction)[0]) for one in found)
 
     def _largest_one(self, motion: Vector) -> tuple[Vector, int]:
-        """Return a motion as one of the problem, with a largest component of one, and the exponent of its unit."""
+        """Return a motion in the problem's units, with largest component one, and the exponent of its unit."""
         exponent = int(np.max(_exponent(motion) + self.unknowns))
         moved = np.ldexp(motion, self.unknowns - exponent)
         return np.asarray(moved / np.max(abs(moved))), exponent
 
     def refuse_far_gap(self, solution: Any = None) -> None:
-        """Raise InvalidProblem where an answer closes a gap that these units cannot hold, or might if none is given."""
+        """Raise InvalidProblem if an answer closes (without answer: may close) a gap that overflows here."""
         far = (self.problem.gap >= FAR_AWAY) & (self.problem.gap < np.inf)
         if solution is not None:
             far &= self.problem.normal @ solution.answer.displacement > FAR_AWAY / 2
@@ -130,12 +130,12 @@ class NearOne:
             )
 
     def answer_of(self, solution: Any) -> Answer:
-        """Return the answer of a solution in these units; InvalidProblem where it exceeds doubles, or a gap does."""
+        """Return the answer in the problem's units; raise InvalidProblem if it or a gap overflows."""
         self.refuse_far_gap(solution)
         return self.whole_answer(solution.answer)
 
     def refuse_lost(self, found: Any, whole: Any) -> None:
-        """Raise NotCertified where a solution passes in these units alone: its numbers are below all other doubles."""
+        """Raise NotCertified if a solution passes only in these units, underflowing in the problem's."""
         if whole.certificate.passed or not found.certificate.passed:
             return
         for name in ("displacement", "normal_force", "tie_force"):
@@ -145,7 +145,7 @@ class NearOne:
                 raise NotCertified(told, whole)
 
     def violations(self, found: Violations) -> Violations:
-        """Return figures that have units in the units of the problem."""
+        """Return the figures, those with units in the units of the problem."""
         force, normal, slip = self.length - self.unknowns, self.length + self.contacts, self.length + self.tangents
         few = found.nothing
         width = len(few.tangent) // len(slip) if len(slip) else 1
@@ -169,7 +169,7 @@ class NearOne:
         )
 
     def bounds(self, bounds: Bounds) -> Bounds:
-        """Return bounds that have units in the units of the problem."""
+        """Return the bounds, those with units in the units of the problem."""
         changed: dict[str, Any] = {}
         for name, scale in (("energy_error", bounds.energy_scale), ("force_error", bounds.force_scale)):
             value = getattr(bounds, name)
@@ -183,7 +183,7 @@ class NearOne:
         return replace(bounds, solution=None, **changed)
 
     def no_equilibrium(self, error: NoEquilibrium) -> NoEquilibrium:
-        """Return an error raised in these units with its proof, and its figures, in the units of the problem."""
+        """Return an error raised in these units with its proof and numbers in the units of the problem."""
         proof, text = self._proof(error.proof), str(error)
         figures = "" if proof is None else describe_proof(self.problem, error.proof)
         if error.proof is not None and (proof is None or figures not in text or BUT_FOR in text):
@@ -200,7 +200,7 @@ class NearOne:
             return DrivenMotion(motion, work, rounding)
         if isinstance(proof, Conflict):
             if len(proof.normal) != len(self.contacts):
-                return None  # of a relaxation, which has rows of its own
+                return None  # a proof of a relaxation, which has other rows
             exponents = np.concatenate([_exponent(proof.normal) - self.contacts, _exponent(proof.tie) - self.ties])
             unit = int(np.max(exponents))
             normal, tie = np.ldexp(proof.normal, -self.contacts - unit), np.ldexp(proof.tie, -self.ties - unit)
@@ -211,9 +211,9 @@ class NearOne:
 
 
 def near_one(problem: ContactProblem) -> NearOne | None:
-    """Return the problem in units in which its numbers are near one; None where they are so already.
+    """Return the problem in units in which its numbers are near one, None if they already are.
 
-    Raises InvalidProblem: a coefficient of friction that is no double in these units.
+    Raises InvalidProblem: a coefficient of friction overflows in these units.
     """
     computed = problem._computed
     if computed.near_one is None:
@@ -228,7 +228,7 @@ def near_one(problem: ContactProblem) -> NearOne | None:
 
 
 def refuse_far_from_one(who: str, problem: ContactProblem, farthest: int = FARTHEST) -> None:
-    """Raise InvalidProblem where the problem's numbers are so far from one that results would exceed doubles."""
+    """Raise InvalidProblem if the problem's numbers are so far from one that results would overflow."""
     near = _matrices_are_near_one(problem, farthest) and _vectors_are_near_one(problem, farthest)
     if near_one(problem) is not None and not near:
         raise InvalidProblem(
@@ -238,7 +238,7 @@ def refuse_far_from_one(who: str, problem: ContactProblem, farthest: int = FARTH
 
 
 def _exponent(values: Any) -> Index:
-    """Return the binary exponent of each number; of zero one far below that of any double."""
+    """Return the binary exponent of each number, for zero one far below that of any double."""
     values = np.asarray(values, dtype=float)
     return np.where(values == 0, NONE, np.frexp(values)[1]).astype(np.int64)
 
@@ -251,7 +251,7 @@ def _matrices_are_near_one(problem: ContactProblem, farthest: int = FARTHEST) ->
 
 
 def _largest_without_stiffness(problem: ContactProblem, matrices: list[Any]) -> Vector:
-    """Return the largest entry of the rows at each unknown without stiffness (n,); zero at the others."""
+    """Return the largest entry of the rows at each unknown without stiffness (n,), zero at the others."""
     largest = np.zeros(problem.dimension)
     if problem.diagonal.all():
         return largest
@@ -265,7 +265,7 @@ def _matrices(problem: ContactProblem) -> list[Any]:
 
 
 def _vectors_are_near_one(problem: ContactProblem, farthest: int = FARTHEST) -> bool:
-    """Return whether the largest of load, gaps, ties and slip origins are in range and not all far below it."""
+    """Return whether the largest of load, gaps, ties and slip origins are in range and not all below it."""
     parts = [problem.load, problem.gap[np.isfinite(problem.gap)], problem.tie_value]
     if problem.slip_origin is not None:
         parts.append(problem.slip_origin)
@@ -276,9 +276,9 @@ def _vectors_are_near_one(problem: ContactProblem, farthest: int = FARTHEST) -> 
 def _units_are_own(problem: ContactProblem) -> bool:
     """Return whether all unknowns have stiffness, or forces and lengths are similar and rows near one.
 
-    Stiffness relates forces to lengths and gives each unknown its size. Without it the answer chosen among many right
-    ones would depend on the units of length and force, and unknowns have the sizes that rows give them. Programs, whose
-    K has no entry at most unknowns, are equilibrated where they are solved, forces apart from lengths.
+    Stiffness relates forces to lengths and scales each unknown. Without it the choice among several right answers would
+    depend on units, and unknowns are scaled by rows. Programs, whose K is zero at most unknowns, are equilibrated when
+    they are solved, with separate units of force and length.
     """
     if problem.diagonal.all() or mostly_bare(problem):
         return True
@@ -286,14 +286,14 @@ def _units_are_own(problem: ContactProblem) -> bool:
 
 
 def _rows_are_alike(problem: ContactProblem) -> bool:
-    """Return whether the largest entries of all rows of contacts and ties are of a size, and that near one."""
+    """Return whether the largest entries of all rows of contacts and ties are similar and near one."""
     sizes = np.concatenate([_row_exponents(problem.normal), _row_exponents(problem.tie)])
     sizes = np.append(sizes[sizes > LEAST], 0)
     return int(np.ptp(sizes)) <= ALIKE
 
 
 def _columns_are_alike(problem: ContactProblem) -> bool:
-    """Return whether the largest entries at unknowns without stiffness are near one, and rows hold none far smaller."""
+    """Return whether the largest entries at unknowns without stiffness are near one, and rows have none far smaller."""
     matrices = _matrices(problem)
     sizes = _exponent(_largest_without_stiffness(problem, matrices))
     sizes = np.append(sizes[sizes > LEAST], 0)
@@ -310,7 +310,7 @@ def _columns_are_alike(problem: ContactProblem) -> bool:
 
 
 def _largest_at(count: int, at: Index, values: Index) -> Index:
-    """Return the largest of the values at each of `count` places; NONE at those that have none."""
+    """Return the largest value at each of `count` indices, NONE where there is none."""
     found = np.full(count, NONE)
     np.maximum.at(found, at, values)
     return found
@@ -333,9 +333,9 @@ def _largest(rows: Any) -> Vector:
 def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
     """Return exponents of D and of all rows if one unit of length and one of force bring the matrices near one.
 
-    What depends on the sizes of unknowns beside each other, such as the motion of least norm of a body that nothing
-    holds, is the same then in all units of length and force. Rows stay as they are, or are brought to one size where
-    they are not alike and unknowns have their size from them. None where units of single unknowns are needed.
+    Results that depend on relative sizes of unknowns, such as minimum-norm motions of floating bodies, are then the
+    same in all units of length and force. Rows are unchanged, or scaled to similar sizes if they determine the scale of
+    unknowns. None if separate units of unknowns are needed.
     """
     diagonal, rows, unit = problem.diagonal[problem.diagonal > 0], _matrices(problem), _uniform_unit(problem)
     exponents = _exponent(diagonal) + 2 * unit
@@ -348,7 +348,7 @@ def _uniform_units(problem: ContactProblem) -> tuple[Index, Index] | None:
 
 
 def _uniform_unit(problem: ContactProblem) -> int:
-    """Return the exponent of D that brings the largest stiffness near one; without stiffness, loads near lengths."""
+    """Return the exponent of D that brings the largest stiffness near one, or without stiffness, loads near lengths."""
     stiffest = problem.diagonal.max(initial=0.0)
     if stiffest > 0:
         return -(int(_exponent(stiffest)) // 2)
@@ -357,9 +357,9 @@ def _uniform_unit(problem: ContactProblem) -> int:
 
 
 def _unit_of_loads(problem: ContactProblem, unknowns: Index, rows: Index) -> int:
-    """Return the exponent of D, beside others of unknowns (n,) and rows, by which loads and lengths are near.
+    """Return the exponent of D, in addition to those of unknowns (n,) and rows, that makes loads and lengths similar.
 
-    Lengths are finite gaps, ties and slip origins; the largest count.
+    The largest finite gaps, ties and slip origins are the lengths.
     """
     m = problem.contacts
     normal, tie = rows[:m], rows[m : m + problem.ties]
@@ -404,7 +404,7 @@ def _entries(matrices: list[Any]) -> Any:
 
 
 def _of_constraints(problem: ContactProblem, entries: Any) -> Any:
-    """Return entries of the rows of normals, ties and tangents with those of a contact in one row, in one unit."""
+    """Return entries of the rows of normals, ties and tangents, with those of a contact combined in one row."""
     others = problem.contacts + problem.ties
     width = max((entries.shape[0] - others) // max(problem.contacts, 1), 1)
     row = np.where(entries.row < others, entries.row, (entries.row - others) // width)
@@ -414,8 +414,8 @@ def _of_constraints(problem: ContactProblem, entries: Any) -> Any:
 def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
     """Return the exponents of D (n,), and of the rows of normals, ties and tangents.
 
-    Unknowns with stiffness make that one; those without have the units in which all entries of rows are of a size, or
-    the largest of their entries is that of its row.
+    Unknowns with stiffness have a unit diagonal; for others all entries of rows are similar, or their largest entry is
+    the largest of its row.
     """
     entries = _entries(_matrices(problem))
     count, exponent, stiff = entries.shape[0], _exponent(entries.data), problem.diagonal > 0
@@ -431,7 +431,7 @@ def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
 
 
 def _with_loads_near_lengths(problem: ContactProblem, entries: Any, unknowns: Index) -> tuple[Index, Index]:
-    """Return exponents of D and those of all rows; without stiffness, one unit more brings loads near lengths."""
+    """Return exponents of D and of all rows; without stiffness, a further unit brings loads near lengths."""
     sizes = _largest_at(entries.shape[0], entries.row, _exponent(entries.data) + unknowns[entries.col])
     sizes = np.where(sizes > LEAST, sizes, 0)
     unit = 0 if problem.diagonal.any() else _unit_of_loads(problem, unknowns, sizes)
@@ -471,7 +471,7 @@ def _under_load(problem: ContactProblem, twin: ContactProblem, units: tuple[Inde
 
 
 def _length(problem: ContactProblem, units: tuple[Index, Index, Index, Index]) -> int:
-    """Return the exponent of l: of the largest load, overlap, tie or slip origin, or else of the least gap."""
+    """Return the exponent of l, by the largest load, overlap, tie or slip origin, else by the least gap."""
     unknowns, normal, across, tie = units
     sizes = [
         _exponent(problem.load) + unknowns,
@@ -488,7 +488,7 @@ def _length(problem: ContactProblem, units: tuple[Index, Index, Index, Index]) -
 
 
 def _coefficients(problem: ContactProblem, given: Vector, exponents: Index) -> Vector:
-    """Return Coulomb's coefficients for normal and tangential rows in units of their own."""
+    """Return Coulomb's coefficients for normal and tangential rows in separate units."""
     found = np.asarray(np.ldexp(given, exponents))
     lost = (found > ABSURD) & (given <= ABSURD)
     if lost.any():

@@ -1,13 +1,13 @@
-"""Whether a frictional problem in the plane has other answers at its load: all combinations are looked through.
+"""Decide whether a frictional problem in the plane has other answers at its load, by all combinations of states.
 
 Each combination of open, stick and slip is a linear system in the contact forces l and joints j
-(`contactqp.linalg.delassus`), and an answer where its signs hold. Answers are told apart by how the contacts move:
-normal rows, and tangential ones where there is friction. Signs and motions are measured contact by contact, against
-what rounding makes of the system: a contact that is far, or has slipped far, hides no answer at another. Where a system
-leaves something free that moves contacts, a linear program decides whether signs can hold; if they can, there is a
-family of answers. Where there may be several answers, and bodies are small, the systems that may hold are solved once
-more in rational numbers: where friction is at a limit, families are there or not by the last digit of a load.
-`contactqp.equilibria` refines each of them; here they are counted.
+(`contactqp.linalg.delassus`), and gives an answer if its signs hold. Answers are distinguished by the displacements of
+contacts, normal and with friction tangential. Signs and displacements are measured contact by contact relative to
+rounding, so that a distant contact, or one with a large slip, hides no answer at another. If a system leaves
+displacements of contacts undetermined, a linear program decides whether signs can hold; if so, there is a family of
+answers. If there may be several answers, and bodies are small, the systems in question are solved again in rational
+numbers, since at a limit of friction families depend on the last digit of a load. `contactqp.equilibria` refines each
+of them; here they are counted.
 """
 
 from __future__ import annotations
@@ -29,31 +29,30 @@ from contactqp.model.problem import ContactProblem
 
 # 4^5 systems take some ten milliseconds.
 MOST_COUNTED = 5
-# Each system that leaves something free takes some linear programs.
+# The most underdetermined systems, each of which needs some linear programs.
 MOST_LOOSE = 30
-# Unknowns and forces of a system up to which it is solved in rational numbers, in some ten milliseconds.
+# The size of systems that are solved in rational numbers, in about ten milliseconds.
 MOST_EXACT = 24
-# Signs that fail by this part of the lengths that meet at their contact, or of its force, may be rounding.
+# Signs that fail by less than this part of the lengths or the force of their contact may be rounding.
 DOUBTFUL = 1e-9
-# Signs along families that fail by more than this part are no rounding of data: such answers may be none.
+# Signs along families that fail by more than this part are not due to rounding of data.
 SURE = 1e-13
-# Of the largest force, what rounding may leave of another.
+# The rounding of forces relative to the largest one.
 ROUNDING = 1e-13
-# Of the largest displacement that the loads make without contacts, what rounding may leave of another.
+# The rounding of displacements relative to the largest one without contacts.
 NOTHING = 1e-12
-# Answers whose forces move every contact alike, to this part of what the forces make of it, are one.
+# Answers are equal if the displacements of all contacts agree to this part of the sizes of their terms.
 SAME = 1e-6
-# Ends of families, which linear programs find, are two answers where contacts lie apart by this part.
+# The ends of a family, found by linear programs, are different answers if contacts differ by this part.
 PROGRAMMED = 1e-5
-# Entries of the systems are off by this part, and solutions by no more than so many times what the inverse makes of it.
+# The relative error of entries of the systems, and a safety factor on the resulting error of solutions.
 LOST, SAFE = 1e-15, 30.0
 
 
 def several_answers(problem: ContactProblem, condensation: Condensation) -> bool | None:
-    """Return whether more than one answer exists, or a family of them; it is computed once for a problem.
+    """Return whether more than one answer, or a family, exists; it is computed once for a problem.
 
-    None where too many systems leave something free, where their signs are beyond the range of doubles, or where the
-    others are there by an allowance for rounding alone.
+    None if too many systems are underdetermined, if signs overflow, or if others exist only within rounding.
     """
     of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
     cached = problem._computed.several_answers
@@ -67,7 +66,7 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
 
 
 def _several_answers(problem: ContactProblem, condensation: Condensation, doubtful: float) -> bool | None:
-    """Return whether there may be several answers; where signs are doubtful by no more than `SURE`, whether there are.
+    """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are.
 
     Parameters
     ----------
@@ -124,7 +123,7 @@ def _is_small(problem: ContactProblem) -> bool:
 def _exactly_several(problem: ContactProblem, status: NDArray[np.int8]) -> bool:
     """Return whether some combinations (c, m) have several answers, in rational numbers.
 
-    Where friction is at its limit or its critical coefficient the last digit of a load decides.
+    This matters if friction is at its limit or critical, where the last digit of a load decides.
     """
     found = list[Row]()
     for one in status:
@@ -136,7 +135,9 @@ def _exactly_several(problem: ContactProblem, status: NDArray[np.int8]) -> bool:
 
 
 def _exact_motions(problem: ContactProblem, status: NDArray[np.int8]) -> list[Row] | None:
-    """Return how the answer of a combination (m,) moves the contacts, nothing where there is none, None of a family."""
+    """Return the displacements of contacts by the answer of a combination (m,), empty without answer, None for a
+    family.
+    """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         raise ValueError("answers are counted with friction only")
     n, closed, stuck = problem.dimension, np.flatnonzero(status != OPEN), np.flatnonzero(status == STICK)
@@ -182,20 +183,20 @@ def _exact_motions(problem: ContactProblem, status: NDArray[np.int8]) -> list[Ro
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """An answer of a combination; of families those that move the contacts furthest apart."""
+    """An answer of a combination, or one of the extreme members of a family."""
 
     y: Vector
-    off: Array | None  # (m, 2) by which rounding may move the contacts; None of families
-    clear: bool  # whether its signs hold by more than rounding
+    off: Array | None  # (m, 2) rounding of the contacts' displacements; None for families
+    clear: bool  # whether its signs hold beyond rounding
     side: float  # the sign of the determinant of its combination
 
 
 def _surely_several(system: _Systems, found: list[_Found]) -> bool:
-    """Return whether two answers are there, and apart, whatever rounding does.
+    """Return whether two different answers exist in spite of rounding.
 
-    An answer whose signs fail or hold by rounding alone lies where its combination meets others. If their determinants
-    have one sign, the law maps what is around it onto all that is around its load, and the answer stays; where they
-    have not, the load may be at the edge of those that have such answers.
+    An answer with signs of rounding size is at the border of several combinations. If their determinants have one sign,
+    the law maps a neighbourhood of it onto a neighbourhood of its load, so the answer persists; otherwise the load may
+    be at the limit of those with such answers.
     """
     apart = [[system.apart(one, other) for other in found] for one in found]
     stays = [
@@ -206,7 +207,7 @@ def _surely_several(system: _Systems, found: list[_Found]) -> bool:
 
 
 class _Systems:
-    """The linear systems of all combinations in y = (l, j); signs may fail by a doubtful part of what meets."""
+    """The linear systems of all combinations in y = (l, j), with a tolerance of signs relative to what meets."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, doubtful: float) -> None:
         self.doubtful = doubtful
@@ -243,9 +244,9 @@ class _Systems:
     def rounding(
         self, matrices: Array, right: Array, status: NDArray[np.int8], y: Array, alone: Mask
     ) -> tuple[Array, Array]:
-        """Return how far rounding may move the contacts of solutions (c, q), and change their forces, (c, m, 2) each.
+        """Return bounds of rounding of contact displacements and forces of solutions (c, q), (c, m, 2) each.
 
-        What is lost of the entries is carried over by the inverse, component by component (R. D. Skeel, 1979).
+        Errors of the entries are propagated by the inverse, component by component (R. D. Skeel, 1979).
 
         Parameters
         ----------
@@ -283,7 +284,7 @@ class _Systems:
         return np.asarray(np.all(right, axis=1))
 
     def _allowed(self, y: Array) -> tuple[Array, Array]:
-        """Return how far lengths and forces of solutions (c, q) may miss their signs by rounding, (c, m, 2) each."""
+        """Return the tolerances of signs of lengths and forces of solutions (c, q), (c, m, 2) each."""
         meeting = self._given + self.nothing / self.doubtful + (abs(y) @ abs(self._slope).T).reshape(len(y), -1, 2)
         largest = np.max(abs(y), axis=1, initial=0.0)[:, None, None]
         compliance = np.broadcast_to(self._compliance, meeting.shape)
@@ -292,12 +293,12 @@ class _Systems:
         return self.doubtful * meeting, self.doubtful * asked + ROUNDING * largest
 
     def _by_state(self, status: NDArray[np.int8]) -> Iterator[Indices]:
-        """Yield the open, the closed and the sticking contacts, and those that slide against friction."""
+        """Yield the open, closed, sticking and slipping contacts."""
         for mask in (status == OPEN, status != OPEN, status == STICK, (abs(status) == 1) & (self.mu > 0)):
             yield np.flatnonzero(mask)
 
     def sizes(self, status: NDArray[np.int8], y: Vector) -> Vector:
-        """Return by how much every row of `signs` may fail in a solution (q,)."""
+        """Return the tolerance of every row of `signs` for a solution (q,)."""
         length, pushed = (part[0] for part in self._allowed(y[None]))
         opened, closed, stuck, sliding = self._by_state(status)
         bound = self.mu[stuck] * pushed[stuck, 0] + pushed[stuck, 1]
@@ -315,7 +316,7 @@ class _Systems:
         return room, np.vstack(rows) if m else np.zeros((0, len(unit)))
 
     def apart(self, one: _Found, other: _Found) -> bool | None:
-        """Return whether forces and joints of two answers move any contact differently; None where that is in doubt."""
+        """Return whether two answers displace any contact differently, None if that is uncertain."""
         sizes, change = abs(self._felt) @ np.maximum(abs(one.y), abs(other.y)), abs(self._felt @ (one.y - other.y))
         given = self._given.ravel()[self._acting_rows]
         if one.off is None or other.off is None:
@@ -328,13 +329,13 @@ class _Systems:
         return False if np.all(change <= same) else None
 
     def moving(self, free: Array) -> Array:
-        """Return how free directions (k, q) move the contacts: rows (r, k) that are not zero."""
+        """Return the nonzero displacements of contacts by free directions (k, q) as rows (r, k)."""
         change = self._felt @ free.T
         return np.asarray(change[np.any(abs(change) > np.sqrt(SINGULAR_SYSTEM), axis=1)])
 
 
 class _Signs:
-    """The signs of one combination along the solutions start + free'c of a system that leaves something free."""
+    """The signs of one combination along the solutions start + free'c of an underdetermined system."""
 
     def __init__(self, system: _Systems, status: NDArray[np.int8], start: Vector, free: Array) -> None:
         self._start, self._free, self._moving, self._doubtful = start, free, system.moving(free), system.doubtful
@@ -344,14 +345,11 @@ class _Signs:
 
     @property
     def may_hold(self) -> bool:
-        """Return whether all signs that no c changes hold."""
+        """Return whether all signs that do not depend on c hold."""
         return bool(np.all(self._left[self._idle] >= -self._allowed[self._idle]))
 
     def extremes(self) -> list[Vector] | None:
-        """Return the solutions whose signs hold that move the contacts furthest apart; none where no signs hold.
-
-        None where the signs cannot be put in doubles.
-        """
+        """Return the extreme solutions with right signs, none if there are none, None if signs overflow."""
         from scipy.optimize import linprog
 
         size = self._allowed / self._doubtful

@@ -1,23 +1,22 @@
-"""With friction: how far an answer is from the answer of its own combination of open, stick and slip.
+"""Compare an answer with friction with the equilibrium of its own combination of open, stick and slip.
 
-A small residual does not mean right forces, and Coulomb's law is no minimisation that would bound them. But with every
-contact held in the state that the answer says it is in, the problem is a linear system (in the plane; in space Newton's
-method turns the slip directions). It is solved from the answer, refined in twice double precision, and its signs are
-looked at: gaps that are open, forces that push, friction within its bound, slip along it. Where they hold, it is an
-equilibrium, and the distance to it is judged as a bound would be: in the energy of the displacement, in that of the
-contact forces, and force by force. Where they fail, contacts that fail change their state, and the distance to the
-first combination that holds is judged.
+A small residual does not imply accurate forces, and Coulomb's law is no minimisation that would bound them. But with
+every contact fixed in the state of the answer, the problem is a linear system (in the plane; in space Newton's method
+updates the slip directions). It is solved from the answer, refined in twice double precision, and its signs are
+checked: nonnegative gaps and forces, friction within its bound, and slip along it. If they hold, it is an equilibrium,
+and the distance to it is judged like a bound: in the energy norm of the displacement, in that of the contact forces,
+and force by force. If they fail, the failing contacts change their state, and the distance to the first combination
+that holds is judged.
 
-A sign that fails is measured by what mending it would change: a length over |E_i D|, D = 1/sqrt(K_jj), which is the
-root of the energy that closes it with all other unknowns held; forces by the energy of their response. It is added to
-the distance, so that contacts at the border of two states may be taken in either.
+A failing sign is measured by the change that corrects it: a length over |E_i D|, D = 1/sqrt(K_jj), the root of the
+energy that closes it with all other unknowns fixed; a force by the energy of its response. It is added to the distance,
+so that contacts at the border of two states may be in either. For bodies that are not factorised the system of a
+combination is solved by GMRES, in double precision.
 
-Bodies that are not factorised have the system of a combination solved by GMRES, in double precision.
-
-This is a comparison, no proof: other equilibria may exist (`contactqp.certificate.uniqueness`). Where forces of
-redundant contacts are not unique, or the system has no inverse, the figures remain, and the minimisation with the
-friction forces held: u and l_N of an equilibrium minimise 1/2 u'Ku - (f - E_T'l_T)'u over E_N u <= g, for which bounds
-are proven.
+This is a comparison, not a proof: other equilibria may exist (`contactqp.certificate.uniqueness`). If forces of
+redundant contacts are not unique, or the system is singular, the figures remain, and the minimisation with the friction
+forces fixed: u and l_N of an equilibrium minimise 1/2 u'Ku - (f - E_T'l_T)'u over E_N u <= g, for which bounds are
+proven.
 """
 
 from __future__ import annotations
@@ -66,15 +65,15 @@ if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
 
 
-# Combinations that are looked at: the answer's own, and those that its failing signs lead to.
+# The most combinations that are examined, the answer's own and those by its failing signs.
 COMBINATIONS = 10
-# Signs that fail by this part of the limit of the distance leave the combination as it is.
+# Signs that fail by less than this part of the limit of the distance do not change the combination.
 HARDLY = 0.1
-# Friction that misses its bound by this part of it is at its bound.
+# Friction within this relative distance of its bound is at its bound.
 AT_BOUND = 1e-9
-# Refinement whose last correction is this part of the limit of the distance has settled.
+# Refinement has converged if the last correction is below this part of the limit of the distance.
 SETTLED = 1e-3
-# Why an answer is refused, or compared with none.
+# Reasons for refusing an answer, or for not comparing it.
 OUT_OF_TIME = "the time limit ended the search before the answer was compared with that of its own states"
 NONE_HOLDS = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
 SINGULAR = "the system of its combination of open, stick and slip has no inverse"
@@ -83,25 +82,25 @@ UNSETTLED = (
     "system of that is singular to working precision"
 )
 BY_ITERATION = "the answer of its combination was found by iteration, to 1e-10 in energy"
-# Factorising the system of one combination may take so many operations: some seconds, where the answer takes many more.
+# The most operations for factorising the system of one combination (some seconds).
 MOST_OPERATIONS = 2e11
 
 
 @dataclass(frozen=True, eq=False)
 class _Distance:
-    """The distances of an answer from that of a combination, each with its scale [square root of energy]."""
+    """The distances of an answer from that of its states, each with its scale [square root of energy]."""
 
     displacement: tuple[float, float]
     force: tuple[float, float]
     contact: tuple[float, float]
-    worst: int  # the contact whose force is farthest away
-    failing: float  # what signs that fail may change
+    worst: int  # the contact with the largest distance of forces
+    failing: float  # change by failing signs
     size: float  # of the forces of the combination, |l_c|_W
-    rounding: float  # by which the distance of the displacements may be rounded
-    forgiven: tuple[float, float]  # what rounding makes of displacement and forces that strain nothing
+    rounding: float  # rounding of the distance of displacements
+    forgiven: tuple[float, float]  # rounding of displacement and forces without strain
 
     def relative(self, nothing: float) -> dict[str, float]:
-        """Return the three distances over their scales, failing signs included; distances up to `nothing` are zero.
+        """Return the three distances over their scales, including failing signs; distances up to `nothing` are zero.
 
         Rounding of the answer to doubles is subtracted.
         """
@@ -180,7 +179,7 @@ def remember_verdict(
 
 
 def last_verdict(problem: ContactProblem, answer: Answer, tolerances: tuple[float, float]) -> StateVerdict | None:
-    """Return the verdict that was kept last, if it is that of this very answer."""
+    """Return the verdict kept last if it is that of this answer."""
     cached: tuple[Array, StateVerdict] | None = problem._computed.judged_state
     if cached is None or not np.array_equal(cached[0], _numbers(problem, answer, tolerances)):
         return None
@@ -260,16 +259,16 @@ class _Comparison:
         given = np.zeros(self._slip.shape) if answer.friction_force is None else answer.friction_force
         self.friction, self._dragged, self._slipped = given, lengths(given), lengths(self._slip)
         self.still = lengths(found.nothing.tangent.reshape(-1, self._width))  # slips (m,) up to which there is none
-        # Along a tangent whose unknowns are all supported any friction would do.
+        # Along a tangent whose unknowns are all supported any friction is right.
         self._felt = along.lengths(np.ones(problem.dimension)).reshape(problem.contacts, -1) > 0
-        self.redundant = False  # whether the combination that was compared with has forces that are not unique
+        self.redundant = False  # whether the compared combination has forces that are not unique
         self.displacement: Vector | None = None  # of that combination
         self.compared: Compared | None = None
 
     def nearest(self, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
-        """Return the distance to the first combination whose signs hold, or None, or the reason for having none.
+        """Return the distance to the first combination whose signs hold, None, or the reason for having none.
 
-        Contacts at their friction's bound that hardly move stick first; where that leads far away they slip.
+        Contacts at their friction bound with negligible slip stick first; if that leads far away they slip.
         """
         believed = self._believed()
         found, reason = self._nearest_from(believed, tolerance, nothing)
@@ -286,7 +285,7 @@ class _Comparison:
         return found, reason
 
     def _nearest_from(self, status: Status, tolerance: float, nothing: float) -> tuple[_Distance | None, str | None]:
-        """Return `nearest` from one combination, which failing signs change."""
+        """Return `nearest` starting from one combination."""
         seen: set[bytes] = set()
         for _ in range(COMBINATIONS):
             seen.add(status.tobytes())
@@ -295,7 +294,7 @@ class _Comparison:
                 return None, SINGULAR
             moved, _ = energy_norm(self._problem, refined.last.displacement)
             strain, unsure = energy_norm(self._problem, refined.displacement)
-            if not self._problem.diagonal.any():  # nothing is elastic: lengths and forces are compared as they are
+            if not self._problem.diagonal.any():  # without elastic parts, lengths and forces are compared directly
                 strain = self._longest(strain)
             reached = refined.displacement.double()
             signs = _Signs(self, refined, status, HARDLY * tolerance * strain)
@@ -316,7 +315,7 @@ class _Comparison:
     def _beside(
         self, refined: RefinedState, status: Status, distance: _Distance, last: float, unsure: float
     ) -> Compared:
-        """Return what an answer was compared with, and how near it is.
+        """Return the result of the comparison with a refined answer, and its distance.
 
         Parameters
         ----------
@@ -341,18 +340,18 @@ class _Comparison:
         """
         force, gap, size = self._answer.normal_force, self._found.gap, self._slipped
         room = self.coefficient * np.maximum(force, 0.0) - self._dragged
-        # With no slip to speak of, what opposes it may have no direction: the contact sticks at its bound.
+        # With negligible slip its direction is uncertain, and the contact sticks at its bound.
         moved = np.where(size > self.still, size, 0.0)
         sticks = (moved == 0) | (self._across * room > moved)
         status = np.where(sticks & self._frictional, STICK, self._sliding())
-        # Where ties hold all that a contact touches it is closed by its force, and its gap by nothing.
+        # If ties fix all unknowns of a contact, it is closed if it has a force.
         touching = gap <= (nothing := self._found.nothing.normal)
-        gap = np.where(gap < -nothing, gap, np.maximum(gap, 0.0))  # contacts without a force that only touch are open
+        gap = np.where(gap < -nothing, gap, np.maximum(gap, 0.0))  # touching contacts without a force are open
         closed = np.where(self._along > 0, self._along * force > gap, (force > 0) & touching)
         return np.where(closed, status, OPEN).astype(np.int8)
 
     def _sliding(self) -> Status:
-        """Return the slip states (m,) along the slip, or along friction where it is none; in space all are SLIP_ON."""
+        """Return the slip states (m,) along the slip, or along friction without slip; in space all are SLIP_ON."""
         if self._width > 1:
             return np.full(len(self._slip), SLIP_ON, dtype=np.int8)
         direction = np.where(self._slipped > self.still, self._slip[:, 0], self.friction[:, 0])
@@ -381,7 +380,7 @@ class _Comparison:
         dragged = np.where(self._frictional[:, None] & self._felt, apart_in_friction, 0.0)
         of_forces, change = self._bodies.response_norm(push, other), self._bodies.response_norm(normal, dragged)
         own_size = max(force_size(problem, problem.normal, push), force_size(problem, problem.tangent, other.ravel()))
-        # Forces along a rigid motion have no response: what is left of one is the root of a rounding.
+        # Forces along a rigid motion have no elastic response, only rounding.
         felt = of_forces > max(NEXT_TO_NOTHING * strain, np.sqrt(RIGID_ROUNDING) * own_size * self._bodies.floats)
         size = of_forces if felt else strain
         whole = max(size, own_size)
@@ -406,7 +405,7 @@ class _Comparison:
         )
 
     def _longest(self, least: float) -> float:
-        """Return the longest of the lengths that meet at contacts, as rows measure them, or `least` if that is more."""
+        """Return the longest of the lengths that meet at contacts in units of energy, at least `least`."""
         met = in_energy(self._found.lengths, self._own[0])
         return float(np.max(met[np.isfinite(met)], initial=least))
 
@@ -426,9 +425,9 @@ class _Comparison:
         return float(np.max(own_forces(self._problem, np.zeros_like(push), missed.double()))), float(largest)
 
     def pushed_by_loads(self) -> float:
-        """Return the strain by loads of their unknowns, the others held [square root of energy]; infinite without.
+        """Return the strain by loads with all other unknowns fixed [square root of energy], infinite without loads.
 
-        Beside a gap that a body crosses rigidly, the part of the intrinsic size that is nothing may be more.
+        For a gap that a body crosses rigidly, lengths that count as zero may be larger.
         """
         pushed = float((self._problem.own_scale * self._problem.load_size).max(initial=0.0))
         return pushed if pushed > 0 else float("inf")
@@ -441,11 +440,11 @@ class _Comparison:
 
 
 class _Signs:
-    """The signs of the answer of a combination, and how much mending the failing ones would change.
+    """The signs of the answer of a combination, and the change that corrects failing ones.
 
-    A gap of the refined answer fails where it is no rounding of the lengths that meet, or where closing it costs more
-    than `least`, a part of the strain [square root of energy]: what counts as nothing beside a far gap may be more than
-    all strain.
+    A gap of the refined answer fails if it exceeds rounding of the lengths that meet, or if closing it costs more than
+    `least`, a part of the strain [square root of energy], as lengths that count as zero relative to a far gap may
+    exceed all strain.
     """
 
     def __init__(self, of: _Comparison, refined: RefinedState, status: Status, least: float) -> None:
@@ -471,7 +470,7 @@ class _Signs:
         self.failing = float(np.hypot(np.linalg.norm(self._lengths), pushed))
 
     def changed(self, status: Status) -> Status:
-        """Return the states after mending: penetrated contacts stick, pulling ones open, others slip on or stick."""
+        """Return the corrected states: penetrated contacts stick, those in tension open, others slip on or stick."""
         slips = np.where(self._friction[:, 0] < 0, SLIP_BACK, SLIP_ON) if self._friction.shape[1] == 1 else SLIP_ON
         changed = np.where(self._penetrated > 0, STICK, status)
         changed = np.where(self._beyond > 0, slips, changed)

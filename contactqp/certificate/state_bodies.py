@@ -1,7 +1,7 @@
-"""What the comparison with an answer's own states says, and how combinations are solved where nothing is condensed.
+"""Verdicts of the comparison with an answer's own states, and the solution of combinations without condensation.
 
-Bodies are then solved in sparse systems of all their unknowns, or iterated on. Where no combination can be compared
-with, the minimisation with the friction forces held is judged.
+Bodies are then solved by sparse systems in all unknowns, or iteratively. If no combination can be compared, the
+minimisation with fixed friction forces is judged.
 """
 
 from __future__ import annotations
@@ -40,35 +40,35 @@ from contactqp.model.solution import FIGURES_ALONE, Answer
 if TYPE_CHECKING:
     from contactqp.linalg.friction_states import RefinedState
 
-# Ties that the refined answer leaves unmet by more than this part of their sizes have not been refined.
+# A refined answer is rejected if ties have residuals above this part of their sizes.
 UNMET = 1e-22
-# Coulomb's law in doubles is missed by this part of the friction, by rounding.
+# The rounding of Coulomb's law in doubles relative to the friction.
 ROUNDED = 8 * EPS
-# Equilibrium at every unknown that the answer of a combination that is iterated on is asked for.
+# The tolerance of equilibrium at every unknown for iterative solution of a combination.
 ROUNDING_OF_FIGURES = 1e-10
-# A turn of slip directions that changes the displacement by this part of its energy norm is the last.
+# Slip directions have converged if their update changes the displacement by less than this part of its energy norm.
 SETTLED_TURN = 1e-10
-# Steps of GMRES and conjugate gradients after which no further system is solved: a right answer takes some ten.
+# Steps of GMRES and conjugate gradients after which no further system is solved; a right answer needs about ten.
 MOST_COMPARING = 150
-# After so many of them an answer is told that is this far from that of its combination, in energy norm: more digits of
-# the distance would change no verdict.
+# After this many of them a distance above this, in energy norm, is accepted, as more digits would not change the
+# verdict.
 STEPS_TO_TELL, FAR_APART = 12, 1e-4
-# Slip directions that are far from settled and turn by more than this part of the turn before settle nowhere near.
+# Slip directions do not converge if their update exceeds this part of the previous one.
 SLOW_TURN = 0.5
 FAR = "it is far from the answers of the combinations that it leads to"
 UNSURE_MOTIONS = (
     "whether springs or rounding resist the rigid motions of the bodies is not known, and it changes the forces: "
     "stated in near_null_space, they are exact"
 )
-# Steps of conjugate gradients towards the response to forces.
+# The most steps of conjugate gradients for the response to forces.
 MOST_STEPS = 200
 
 
 class Bodies(Protocol):
     """The bodies on which combinations of states are solved."""
 
-    along: Vector  # (m,) the response of a contact to its own force
-    across: Vector  # (m,) the same of friction
+    along: Vector  # (m,) compliance of a contact to its own normal force
+    across: Vector  # (m,) the same for friction
     width: int  # d-1
     frictional: Mask  # (m,) contacts that friction acts on
     floats: bool
@@ -87,7 +87,7 @@ class Bodies(Protocol):
 
 
 class SparseBodies:
-    """Bodies that are held, in the plane, in all their unknowns; a contact's response is that of its own unknowns."""
+    """Supported bodies in the plane in all unknowns; a contact's compliance is that of its own unknowns."""
 
     floats = False
 
@@ -121,7 +121,7 @@ class SparseBodies:
 
     @cached_property
     def _untied(self) -> StiffnessFactor | None:
-        """Factors of K, in which the ties are not."""
+        """Return factors of K without ties."""
         return stiffness_factor(self._problem)
 
     def rounding(self, displacement: Vector) -> float:
@@ -130,14 +130,14 @@ class SparseBodies:
         return 0.0
 
 
-# The error in energy of the answer of a combination that is iterated on, and how often slip directions in space turn.
+# The error in energy of the iterative solution of a combination, and the most updates of slip directions in space.
 ENERGY, TURNS = 1e-10, 8
-# Of the square of the energy norm of a response, what is left to be found.
+# The relative error of the squared energy norm of a response.
 RESPONSE_LEFT = 1e-2
 
 
 class IteratedBodies:
-    """Bodies that are too large to factorise; a contact's response is that of its own unknowns."""
+    """Bodies that are too large to factorise; a contact's compliance is that of its own unknowns."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem, self._iteration = problem, frictional_iteration(problem)
@@ -147,10 +147,10 @@ class IteratedBodies:
         self.width, self.frictional = self._rows.width, self._rows.friction > 0
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
         self.across = np.max(self.across.reshape(problem.contacts, -1), axis=1, initial=0.0)
-        self._felt: tuple[Vector, float] | None = None  # the forces whose response was found last, and its norm
+        self._felt: tuple[Vector, float] | None = None  # the last forces and the norm of their response
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
-        """Solve a combination by GMRES from a start; in space the slip directions turn with the answer."""
+        """Solve a combination by GMRES from a start; in space the slip directions are updated with the answer."""
         from contactqp.linalg.friction_states import Correction, RefinedState
 
         assert start.friction_force is not None
@@ -186,7 +186,7 @@ class IteratedBodies:
         )
 
     def _solved(self, system: CombinationSystem, u: Vector, most: int) -> Vector:
-        """Return the answer of a combination from a displacement; to a few digits where the two are far apart."""
+        """Return the answer of a combination from a displacement, to a few digits if both are far apart."""
         before = self._iteration.krylov_iterations
         x = system.solved(system.closed(u), ROUNDING_OF_FIGURES, ENERGY, min(most, STEPS_TO_TELL))
         left = before + most - self._iteration.krylov_iterations
@@ -205,7 +205,7 @@ class IteratedBodies:
         if not load.any():
             return 0.0
         if self._felt is not None and any(np.array_equal(load, sign * self._felt[0]) for sign in (1.0, -1.0)):
-            return self._felt[1]  # what an answer is off by, and the last correction of the combination, are often one
+            return self._felt[1]  # the error of an answer and the last correction are often equal
         held = iteration.held(ties, np.zeros(len(ties)))
         run = iteration.run(np.zeros_like(load), load.copy(), ties, held)
         while run.square() > RESPONSE_LEFT * run.gained and run.steps < MOST_STEPS and run.step():
@@ -214,7 +214,7 @@ class IteratedBodies:
         return self._felt[1]
 
     def untied_norm(self, normal: Vector, friction: Array, tie: Vector) -> None:
-        """Return None: it would take as many steps again."""
+        """Return None, as it would take as many steps again."""
 
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
@@ -229,7 +229,7 @@ def squared_lengths(rows: Any, problem: ContactProblem) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """The answer of a combination that an answer was compared with; norms are square roots of energies."""
+    """The refined answer of a combination with which an answer was compared; norms are square roots of energies."""
 
     refined: RefinedState
     status: Status
@@ -239,21 +239,21 @@ class Compared:
     last: float  # of the last correction of the refinement
     strain: float  # |u_c|_K
     size: float  # |l_c|_W
-    unsure: float  # by which rounding may change |u_c|_K
+    unsure: float  # rounding of |u_c|_K
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedLengths:
-    """The refined answer in the scale of the compliance: forces times it, lengths over it."""
+    """The refined answer in the scale of the compliance, with forces multiplied and lengths divided by it."""
 
     normal: Vector  # (m,) l_N
     friction: Array  # (m, d-1) l_T
     gap: Vector  # (m,) of w
     slip: Array  # (m, d-1) of w
-    correction: float  # |w - u|_K of the refined displacement u, and what gaps and slips may be off by
+    correction: float  # |w - u|_K of the refined displacement u, and errors of gaps and slips
 
     def room(self, mu: Vector) -> Vector:
-        """Return mu l_N - |l_T| (m,), less what is rounding of these doubles."""
+        """Return mu l_N - |l_T| (m,), reduced by its rounding."""
         return np.asarray((1 - ROUNDED) * mu * self.normal - lengths(self.friction))
 
 
@@ -262,7 +262,7 @@ def refined_lengths(
 ) -> RefinedLengths | None:
     """Return the response w to the refined forces, one more correction away, with its gaps and slips.
 
-    None where ties are left unmet.
+    None if ties are violated.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def refined_lengths(
     u, force, friction = found.displacement, found.normal_force, found.friction_force
     missed = abs((rows.tie @ u - extend(problem.tie_value)).double())
     size = abs(problem.tie) @ abs(u.double()) + abs(problem.tie_value)
-    size = size + np.sqrt(own_compliance(problem, problem.tie)) * compared.strain  # both ends may be where they were
+    size = size + np.sqrt(own_compliance(problem, problem.tie)) * compared.strain  # neither may have moved
     if np.any(missed > UNMET * size):
         return None
     left = extend(problem.load) - rows.stiffness @ u - rows.contact_force(force, found.tie_force)
@@ -292,10 +292,10 @@ def refined_lengths(
 def with_rounding_of_motions(
     problem: ContactProblem, condensation: Condensation, compared: Compared, bounds: Bounds
 ) -> Bounds | str:
-    """Return bounds with what K's rounding along rigid motions changes the forces of the combination by, and more.
+    """Return bounds enlarged by the change of the combination's forces due to rounding of K along rigid motions.
 
-    Stated motions are exact: what counts is whether K was cleared of that rounding. Where others change more than
-    `RESISTED` of the forces springs may resist them, and the reason is returned that nothing is proven.
+    Stated motions are exact, and it only counts whether K was cleared of that rounding. If others change more than
+    `RESISTED` of the forces they may have a real resistance, and the reason is returned that nothing is proven.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def with_rounding_of_motions(
 def refined_local_lengths(
     problem: LocalProblem, force: Array, found: RefinedForces
 ) -> tuple[RefinedLengths, float, float, float]:
-    """Return refined forces as those of bodies, how far the given ones are from them, their last change and size."""
+    """Return refined forces in the form for bodies, the distance of the given ones, the last change and the size."""
     shape, scale = force.shape, problem.contact_scale[:, None]
     W = problem.scaled_delassus
 
@@ -355,16 +355,16 @@ class StateVerdict:
     """The verdict of the comparison, with its basis, distance and messages."""
 
     basis: str
-    distance: float | None = None  # the largest of the three, relative; None where there is nothing to compare with
+    distance: float | None = None  # the largest of the three, relative; None without comparison
     energy: float = 0.0  # |u|_K of the answer that it was compared with
     failures: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     displacement: Vector | None = None  # of that answer
-    compared: Compared | None = None  # where it is near enough to pass
+    compared: Compared | None = None  # if it is near enough to pass
 
 
 def figures_alone(reason: str) -> StateVerdict:
-    """Return the verdict where there is no combination to compare with."""
+    """Return the verdict without a combination for comparison."""
     return StateVerdict(FIGURES_ALONE, notes=(f"the verdict rests on the figures alone: {reason}",))
 
 
@@ -376,7 +376,7 @@ def with_friction_held(
     nothing: float,
     reason: str,
 ) -> StateVerdict:
-    """Judge by the bounds of the minimisation with the answer's friction as a load.
+    """Return the verdict by the bounds of the minimisation with the answer's friction as a load.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Candidate contacts: of very many contacts, condense onto those that may close, and check all the others.
+"""Solve and certify problems of very many contacts by a subset that may close, and check all the others.
 
-If the solution with some of the contacts, E_C u <= g_C, penetrates none of the others, it solves the problem with all
-of them: the others carry no force and every condition holds. If it does, what it penetrates and what lies near joins
-the candidates; these only grow, so it ends. With Coulomb friction in space, where each contact retains three rows, the
-candidates are those that close without friction, and what lies near.
+If the solution with a subset of the contacts, E_C u <= g_C, penetrates none of the others, it solves the problem with
+all of them, as the others have no force. Otherwise the penetrated contacts and their neighbours are added; as the
+subset only grows, this ends. With Coulomb friction in space, where each contact retains three rows, the subset consists
+of the contacts closed without friction and their neighbours.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from contactqp.model.arrays import TINY, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Contact unknowns to begin with.
+# The number of contact unknowns of the first subset.
 FIRST = 1000
-# Layers of unknowns around a penetrated contact whose contacts become candidates with it; around one that closes
-# without friction, which moves the edge of contact a little.
+# Layers of unknowns around a penetrated contact whose contacts are added with it; and around one closed without
+# friction, as friction changes the edge of contact slightly.
 LAYERS, LAYERS_OF_FRICTION = 3, 1
-# Contacts of a foreign answer with a smaller gap than this, as a part of the lengths that meet, may be closed.
+# Contacts of another code's answer may be closed if the gap is below this part of the lengths that meet.
 TOUCHING = 1e-6
-# Candidates of a certificate are widened so often before it says that it has no bound.
+# The number of enlargements of a certificate's subset before it has no bound.
 WIDENINGS = 5
 TOO_WIDE = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
 
 
 def first_candidates(problem: ContactProblem) -> Indices | None:
-    """Return the contacts nearest to closing in energy, or those of the last load; None where all are few enough."""
+    """Return the contacts nearest to closing in energy, or those of the last load; None if all are few enough."""
     if not contacts_are_many(problem):
         return None
     if problem._computed.subset is not None:
@@ -52,13 +52,13 @@ def first_candidates(problem: ContactProblem) -> Indices | None:
 
 
 def candidates_around(problem: ContactProblem, closed: Indices) -> Indices:
-    """Return the closed contacts, or the nearest ones, with their neighbours and the candidates of before."""
+    """Return the closed contacts, or the nearest ones, with their neighbours and the previous subset."""
     closed = closed if closed.size else _nearest(problem)
     return _with_former(problem, np.union1d(closed, _near(problem, closed, LAYERS_OF_FRICTION)))
 
 
 def believed_candidates(problem: ContactProblem, answer: Answer) -> Indices:
-    """Return the contacts that an answer closes, or the nearest ones, and the candidates of before."""
+    """Return the contacts that an answer closes, or the nearest ones, and the previous subset."""
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
@@ -66,7 +66,7 @@ def believed_candidates(problem: ContactProblem, answer: Answer) -> Indices:
 
 
 def _with_former(problem: ContactProblem, contacts: Indices) -> Indices:
-    """Return contacts together with those that the problem was condensed onto before."""
+    """Return contacts together with the subset onto which the problem was condensed before."""
     before = contacts if problem._computed.subset is None else problem._computed.subset[0]
     return np.union1d(before, contacts).astype(np.intp)
 
@@ -76,24 +76,24 @@ def _nearest(problem: ContactProblem) -> Indices:
 
 
 def candidates_of(problem: ContactProblem) -> Indices | None:
-    """Return the contacts that a solved problem was condensed onto; None where these are all."""
+    """Return the contacts onto which a solved problem was condensed, None if these are all."""
     return None if problem._computed.subset is None else np.asarray(problem._computed.subset[0])
 
 
 def take_all(problem: ContactProblem) -> None:
-    """Condense a problem onto every contact from now on, however many there are."""
+    """Condense a problem onto all contacts from now on."""
     problem._computed.subset, problem._computed.all_contacts[problem.frictional] = None, True
 
 
 def among(problem: ContactProblem, candidates: Indices) -> ContactProblem:
-    """Return the problem with some of its contacts; it is kept with its condensation for the loads that follow."""
+    """Return the problem with some of its contacts, kept with its condensation for further loads."""
     computed = problem._computed
     computed.subset = _with_contacts(problem, candidates, computed.subset)
     return _under_its_load(problem, candidates, computed.subset[1])
 
 
 def _judged_among(problem: ContactProblem, candidates: Indices) -> ContactProblem:
-    """Return `among` for a certificate, whose candidates are kept apart from those that are solved."""
+    """Return `among` for a certificate, whose subset is kept separately from that of the solution."""
     computed = problem._computed
     if computed.subset is not None and np.array_equal(computed.subset[0], candidates):
         return _under_its_load(problem, candidates, computed.subset[1])
@@ -105,7 +105,7 @@ Subset = tuple[Indices, ContactProblem]  # contacts, and the problem with these 
 
 
 def _with_contacts(problem: ContactProblem, candidates: Indices, before: Subset | None) -> Subset:
-    """Return the contacts with the problem that has these alone: the one of before where they are the same."""
+    """Return the contacts with the problem of these alone, the previous one if they are the same."""
     if before is not None and np.array_equal(before[0], candidates):
         return before
     lay_out(problem)
@@ -133,7 +133,8 @@ def _under_its_load(problem: ContactProblem, candidates: Indices, subset: Contac
 
 
 def widened(problem: ContactProblem, candidates: Indices, gap: Vector, u: Vector) -> Indices | None:
-    """Return the candidates with those that a displacement closes and their neighbours; None where it closes no other.
+    """Return the subset enlarged by contacts that a displacement closes and their neighbours, None if it closes no
+    other.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def widened(problem: ContactProblem, candidates: Indices, gap: Vector, u: Vector
 
 
 def _near(problem: ContactProblem, contacts: Indices, layers: int) -> Indices:
-    """Return the contacts within so many layers of unknowns around some of them."""
+    """Return the contacts within a number of layers of unknowns around some of them."""
     rows, K = abs(problem.normal), problem.stiffness_rows
     near = np.zeros(problem.dimension, dtype=bool)
     near[rows[contacts].indices] = True
@@ -162,10 +163,10 @@ def _near(problem: ContactProblem, contacts: Indices, layers: int) -> Indices:
 def bounds_among(
     problem: ContactProblem, answer: Answer, residual: Residuals, candidates: Indices
 ) -> tuple[Bounds, RigidMotions]:
-    """Return the bounds of an answer from the problem with its candidates alone, and the bodies' rigid motions.
+    """Return the bounds of an answer from the problem of a subset of contacts, and the bodies' rigid motions.
 
-    They are bounds of the whole problem, since what they call the solution, to its last digits, opens all other
-    contacts; these have no force then, and a bound of it by (1) of `bounds`.
+    They hold for the whole problem, since the solution of the subset, accurate to its last digits, leaves all other
+    contacts open; these then have no force, with a bound by (1) of `bounds`.
 
     Parameters
     ----------
@@ -198,7 +199,7 @@ def state_among(
 ) -> tuple[StateVerdict, RigidMotions]:
     """Return the verdict on a frictional answer by its own combination, in which all other contacts are open.
 
-    The combination is one of the whole problem where its displacement penetrates no other contact.
+    It is a combination of the whole problem if its displacement penetrates no other contact.
 
     Parameters
     ----------
@@ -213,7 +214,7 @@ def state_among(
         friction = None if answer.friction_force is None else answer.friction_force[candidates]
         subset_answer = Answer(answer.displacement, answer.normal_force[candidates], friction, answer.tie_force)
         verdict = last_verdict(subset, subset_answer, tolerances)
-        if verdict is None:  # else the answer for the candidates was judged when it was found
+        if verdict is None:  # otherwise the answer of the subset was judged when it was found
             found = violations(
                 subset, subset_answer, residuals(subset, subset_answer), tolerances[1], condensation.rigid
             )

@@ -1,12 +1,12 @@
-"""Find out cheaply whether a frictional answer is the only one, and whether its forces are.
+"""Examine cheaply whether a frictional answer and its forces are unique.
 
 Forces: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu E_T'd), E_b the
-tangential rows of those that stick and A the ties, contact forces that balance a displacement are unique where no
-combination of these rows but one of ties alone vanishes.
+tangential rows of those that stick and A the ties, contact forces for a displacement are unique if no combination of
+these rows vanishes, except of ties only.
 Displacements: `contactqp.critical_friction` where the answer is the only one at every load; at this load, in the
 plane and with few contacts, the answers of all combinations of open, stick and slip are counted
 (`contactqp.certificate.other_answers`).
-Bodies that are free to move have many displacements, which differ by their motions; what these do not change is unique.
+Bodies with free motions have many displacements, and only quantities that these motions do not change are unique.
 """
 
 from __future__ import annotations
@@ -32,27 +32,28 @@ from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution, Violations
 
-# Contacts with friction up to which bounds are looked for in every answer to a case: less than half of its solution.
+# The number of contacts with friction up to which bounds cost less than half of a solution and are always computed.
 MOST_PROVEN = 200
-# Pivots of the Gram matrix of rows of unit length above this part of one say that they do not depend on each other.
+# Unit rows are independent if the pivots of their Gram matrix are above this.
 INDEPENDENT = 1e-12
-# Linearising the Tresca fixed-point iteration takes a dense system of all closed contacts, at every answer.
+# The most closed contacts for linearising the Tresca fixed-point iteration, which needs a dense system.
 MOST_LINEARISED = 100
-# Each contact whose forces may change takes linear programs, in space with so many tangents of its friction's disc.
+# The most contacts with redundant forces, each of which needs linear programs, and the tangents of a friction disc in
+# space.
 MOST_LOOKED_AT, DIRECTIONS = 30, 16
-# Of the largest force, by how much others are looked at, and by how much they differ.
+# The range of forces examined relative to the largest, and the difference that counts.
 FARTHEST, CHANGES = 10.0, 1e-8
-# A contact takes part in a dependence with a share of at least this.
+# The least weight of a contact in a dependence.
 SHARE = 1e-6
 
-SEVERAL = "several answers"  # others were found at this load
-POSSIBLE = "several answers possible"  # others are not excluded
+SEVERAL = "several answers"  # other answers exist at this load
+POSSIBLE = "several answers possible"  # other answers are not excluded
 FORCES = "forces not unique"
 UNKNOWN = "not examined"
 
 
 def proves_friction(problem: ContactProblem) -> bool:
-    """Return whether bounds with friction take less than half of the solution: of few contacts that are condensed."""
+    """Return whether bounds with friction cost less than half of the solution, for few condensed contacts."""
     return problem.frictional and problem.contacts <= MOST_PROVEN and systems_of(problem) is Systems.CONDENSED
 
 
@@ -62,13 +63,13 @@ class Uniqueness:
 
     findings: tuple[str, ...] = ()  # none: with friction, this is the only answer
     notes: tuple[str, ...] = ()
-    contraction: float | None = None  # of the Tresca fixed-point iteration at this answer
+    contraction: float | None = None  # contraction of Tresca's fixed point at this answer
 
 
 def uniqueness(
     problem: ContactProblem, answer: Answer, found: Violations, condensation: Condensation | None, tolerance: float
 ) -> Uniqueness:
-    """Say whether other equilibria may exist at this load; without friction the energy has one minimum.
+    """Return whether other equilibria may exist at this load; without friction the energy has one minimum.
 
     Parameters
     ----------
@@ -112,10 +113,10 @@ class _State:
         frictional = loaded & (problem.friction > 0)
         self.stuck = np.flatnonzero(frictional & (found.slip_measure <= tolerance))
         self.slides = np.flatnonzero(frictional & (found.slip_measure > tolerance))
-        # What touches without pressing and slips would have friction as soon as it took its share.
+        # A touching contact without force that slips would have friction with any share of the force.
         moves = (problem.friction > 0) & (found.slip_measure > tolerance)
         self.dragged = self.closed[moves[self.closed]]
-        # What touches without pressing and does not slip would take any friction within its share.
+        # A touching contact without force and slip could have any friction within its share.
         self.still = self.closed[(problem.friction[self.closed] > 0) & ~moves[self.closed]]
         slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
         self.direction = directions(slip)
@@ -165,7 +166,7 @@ def _forces(problem: ContactProblem, state: _State, condensation: Condensation) 
 
 
 def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Condensation) -> Indices:
-    """Return the closed contacts whose forces may change without moving anything."""
+    """Return the closed contacts whose forces may change without any displacement."""
     if condensation.tangent is None or problem.friction is None or _never_dependent(problem, condensation):
         return np.zeros(0, dtype=np.intp)
     scale, m = condensation.scale, problem.contacts
@@ -177,7 +178,7 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
     held = tangent[state.still].reshape(-1, len(scale))
     of = np.concatenate([state.closed, np.repeat(state.still, width)])
     rows = np.vstack([condensation.normal[state.closed] * scale + dragged[state.closed], held])
-    felt = np.any(rows != 0, axis=1)  # a tangent that is supported has no friction to speak of
+    felt = np.any(rows != 0, axis=1)  # friction along a supported tangent has no effect
     size = np.linalg.norm(rows, axis=1)
     both = _unit(np.vstack([rows[felt], condensation.tie * scale]))
     count = int(np.sum(felt))
@@ -223,7 +224,7 @@ def _that_change(turns: Array, shared: Indices, mu: Vector, state: _State) -> In
 
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:
-    """Return whether the rows of all contacts and ties are independent, whatever is closed; it is computed once."""
+    """Return whether the rows of all contacts and ties are independent, for any closed set; it is computed once."""
     if problem._computed.independent_rows is None:
         tangent = np.zeros((0, len(condensation.scale)))
         if condensation.tangent is not None:
@@ -235,7 +236,7 @@ def _never_dependent(problem: ContactProblem, condensation: Condensation) -> boo
 
 
 def _independent(rows: Array) -> bool:
-    """Return whether unit rows are proven independent; False leaves the question open."""
+    """Return whether unit rows are proven independent; False if undecided."""
     if len(rows) > rows.shape[1]:
         return False
     try:
@@ -248,9 +249,9 @@ def _independent(rows: Array) -> bool:
 def _contraction(problem: ContactProblem, state: _State, condensation: Condensation) -> float | None:
     """Return the spectral radius of the map mu l_N -> mu l_N of one Tresca step, linearised at the answer.
 
-    Closed contacts stay closed, those that stick stick; where one slips, l_T = theta d, d = s/|s|, changes with theta
-    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None where more than 100 contacts are closed, or
-    where numbers leave the range of floats.
+    Closed contacts stay closed and sticking ones stick; where one slips, l_T = theta d, d = s/|s|, changes with theta
+    and with the slip: dl_T = d dtheta + theta/|s| (1 - d d') ds. None if more than 100 contacts are closed, or if
+    numbers overflow.
     """
     if problem.friction is None or len(state.closed) > MOST_LINEARISED:
         return None
@@ -279,7 +280,7 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     right[np.arange(first, n), np.arange(count).repeat(d - 1)] = (mu[slides, None] * direction).ravel()
     if not np.all(np.isfinite(matrix)):
         return None
-    if not count:  # the friction bounds of contacts that stick move nothing
+    if not count:  # friction bounds of sticking contacts have no effect
         return 0.0
     try:
         change = np.linalg.solve(matrix, right)
@@ -287,7 +288,7 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
         change = np.linalg.lstsq(matrix, right, rcond=None)[0]
     pressed = change[np.searchsorted(state.closed, state.slides)]
     if not np.all(np.isfinite(pressed)):
-        return None  # forces and slips so far apart that their ratio leaves the floats
+        return None  # the ratio of forces and slips overflows
     return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0))
 
 
@@ -297,9 +298,9 @@ def _unit(rows: Array) -> Array:
 
 
 def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
-    """Return the free motions of an answer that no closed contact holds, such as one that pushes in another sharing.
+    """Return the free motions of an answer that no closed contact resists, also with other redundant forces.
 
-    They are zero where they are rounding in the square root of energy.
+    Entries of rounding size are set to zero.
     """
     found = [motion.direction for motion in solution.free_motions]
     unit = unknown_scale(solution.problem) if found else np.ones(0)
@@ -313,12 +314,12 @@ def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
 
 
 def moved_by(motions: Iterable[Vector], rows: Any) -> bool:
-    """Return whether the product of rows (p, n) with a motion is more than its rounding."""
+    """Return whether the product of rows (p, n) with a motion exceeds its rounding."""
     return any(bool(np.any(abs(rows @ z) > UNRESISTED * (abs(rows) @ abs(z)))) for z in motions)
 
 
 def unique_beside(motions: Sequence[Vector], problem: ContactProblem, of: str) -> bool:
-    """Return whether a quantity, by its name in `Solution.derivative`, is the same whatever motions are added."""
+    """Return whether a quantity, by its name in `Solution.derivative`, does not change by adding motions."""
     if of == "gap":
         return not moved_by(motions, problem.normal[np.isfinite(problem.gap)])
     return not motions or of not in ("displacement", "slip")
