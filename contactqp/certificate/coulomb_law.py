@@ -421,20 +421,22 @@ def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
     slip, slid, step = velocity[:, 1:], lengths(velocity[:, 1:]), velocity.copy()
     step[:, 0] += friction * slid
     moved = force - step
-    given, size, t = lengths(force[:, 1:]), lengths(moved[:, 1:]), directions(moved[:, 1:])
+    given, size = lengths(force[:, 1:]), lengths(moved[:, 1:])
+    t = np.divide(moved[:, 1:], size[:, None], out=np.zeros(slip.shape), where=size[:, None] > 0)
     bound = friction * force[:, 0]
     excess = np.where(abs(given - bound) <= ON_CONE * (given + abs(bound)), 0.0, given - bound)
     # |r_T - u_T| - |r_T| = -u_T'(2 r_T - u_T) / (|r_T - u_T| + |r_T|)
     whole = (size + given)[:, None]
-    both = np.divide(moved[:, 1:] + force[:, 1:], whole, out=np.zeros_like(slip), where=whole > 0)
-    excess = excess - np.sum(both * slip, axis=1) - slid
+    both = np.divide(moved[:, 1:] + force[:, 1:], whole, out=np.zeros(slip.shape), where=whole > 0)
+    excess = excess - (both * slip).sum(axis=1) - slid
     root = np.hypot(1.0, friction)
     across, along = 1.0 / root, friction / root
     # Without friction the cone is a half line.
     inside = (across * excess + along * velocity[:, 0] + root * slid <= 0) & (moved[:, 0] >= 0)
-    normal = across * (across * velocity[:, 0] - along * excess)
-    tangential = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
-    missed = np.where((friction * size <= -moved[:, 0])[:, None], force, np.column_stack([normal, tangential]))
+    missed = np.empty(force.shape)
+    missed[:, 0] = across * (across * velocity[:, 0] - along * excess)
+    missed[:, 1:] = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
+    missed = np.where((friction * size <= -moved[:, 0])[:, None], force, missed)
     return np.where(inside[:, None], step, missed)
 
 
@@ -444,6 +446,7 @@ def distance_from_law(force: Array, velocity: Array, friction: Vector) -> Vector
     The latter treats a contact as sticking with its velocity changed by u_T, as a large mu amplifies a slip of rounding
     size.
     """
-    sticking = np.column_stack([velocity[:, :1], np.zeros_like(velocity[:, 1:])])
+    sticking = np.zeros(velocity.shape)
+    sticking[:, 0] = velocity[:, 0]
     missed, missed_sticking = (lengths(natural_map(force, each, friction)) for each in (velocity, sticking))
     return np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))

@@ -24,6 +24,7 @@ contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -302,11 +303,11 @@ def certify_local(
     >>> found.passed, found.scope, bool(found.force_bound[0] < 1e-12)
     (True, 'global', True)
     """
-    certified = with_uniqueness(problem, force, joint_force, tolerance)
-    if not certified.passed:
+    measured = measured_forces(problem, force, joint_force, tolerance)
+    certified = with_uniqueness(problem, measured, tolerance)
+    if measured is None or not certified.passed:
         return certified
-    r, joint = _read(problem, force, joint_force)
-    found = local_bounds(problem, r, _status(problem, *_Measured(problem, r, joint).state(tolerance)))
+    found = local_bounds(problem, measured.force, _status(problem, *measured.state))
     if isinstance(found, str):
         return replace(certified, reasons=(f"force_error, force_bound: {found}",))
     return replace(
@@ -314,19 +315,17 @@ def certify_local(
     )
 
 
-def with_uniqueness(
-    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
-) -> LocalCertificate:
+def with_uniqueness(problem: LocalProblem, measured: MeasuredForces | None, tolerance: float) -> LocalCertificate:
     """Return the certificate of `certify_local` without bounds, which may cost more than the forces.
 
     Parameters
     ----------
-    problem, force, joint_force, tolerance : as in `certify_local`
+    problem, measured, tolerance : LocalProblem, what `measured_forces` returns, and the tolerance that it was given
     """
-    if (measured := _measured(problem, force, joint_force, tolerance)) is None:
+    if measured is None:
         return _not_finite(problem, tolerance)
-    others = _local_uniqueness(problem, *measured.state(tolerance))
-    return replace(measured.verdict(tolerance), uniqueness=others.findings, notes=others.notes)
+    others = _local_uniqueness(problem, *measured.state)
+    return replace(measured.verdict, uniqueness=others.findings, notes=others.notes)
 
 
 def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Status:
@@ -336,33 +335,26 @@ def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> S
     return np.asarray(np.where(closed, np.where(stuck, STICK, sliding), OPEN).astype(np.int8))
 
 
-def judged(
-    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None, tolerance: float = 1e-9
-) -> LocalCertificate:
-    """Return the certificate of `certify_local` without findings on uniqueness, which cost more than the rest.
+def measured_forces(
+    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
+) -> MeasuredForces | None:
+    """Return the figures of forces, None if one is not finite; raise InvalidProblem for an invalid tolerance.
 
     Parameters
     ----------
     problem, force, joint_force, tolerance : as in `certify_local`
     """
-    measured = _measured(problem, force, joint_force, tolerance)
-    return _not_finite(problem, tolerance) if measured is None else measured.verdict(tolerance)
-
-
-def _measured(
-    problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None, tolerance: float
-) -> _Measured | None:
-    """Return the figures of forces, None if one is not finite; raise InvalidProblem for an invalid tolerance."""
     given: Any = tolerance
     if not is_number(given) or not 0 < given < np.inf:
         raise InvalidProblem(f"tolerance: expected a positive number, got {shown(tolerance)}")
     r, joint = _read(problem, force, joint_force)
-    return _Measured(problem, r, joint) if np.all(np.isfinite(r)) and np.all(np.isfinite(joint)) else None
+    finite = np.isfinite(r).all() and np.isfinite(joint).all()
+    return MeasuredForces(problem, r, joint, tolerance) if finite else None
 
 
 def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None = None) -> dict[str, Vector]:
     """Return each figure of `LocalCertificate` for every contact (m,), without joints; forces must be finite."""
-    measured = _Measured(problem, *_read(problem, force, joint_force))
+    measured = MeasuredForces(problem, *_read(problem, force, joint_force))
     return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
 
 
@@ -387,7 +379,7 @@ def _natural_map(problem: LocalProblem, force: Array, velocity: Array, met: Arra
 
 def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:
     """Return the velocities that meet, |W||r| + |V||l| + |q| (d m,)."""
-    pushed = abs(problem.delassus) @ abs(force).ravel()
+    pushed = problem.delassus_sizes @ abs(force).ravel()
     if problem.joints:
         pushed = pushed + abs(problem.bilateral) @ abs(joint_force)
     return np.asarray(pushed + abs(problem.offset))
@@ -399,14 +391,19 @@ def _size(problem: LocalProblem, met: Array) -> float:
     return max(problem.drive, float(np.max(answers, initial=0.0)))
 
 
-class _Measured:
-    """Every figure for every contact or joint."""
+class MeasuredForces:
+    """Every figure of forces, for every contact or joint, and the certificate that they make.
 
-    def __init__(self, problem: LocalProblem, r: Array, joint: Vector) -> None:
+    Parameters
+    ----------
+    problem, r, joint, tolerance : LocalProblem, finite forces (m, d) and (p,), largest figure that passes
+    """
+
+    def __init__(self, problem: LocalProblem, r: Array, joint: Vector, tolerance: float = 1e-9) -> None:
         u = velocity_of(problem, r, joint)
-        self._problem, self._force, self._velocity = problem, r, u
+        self._problem, self._tolerance, self.force, self.velocity = problem, tolerance, r, u
         self._met = met = _meeting(problem, r, joint).reshape(r.shape)
-        self._along, self._across = met[:, 0], np.max(met[:, 1:], axis=1, initial=0.0)
+        self._along, self._across = met[:, 0], met[:, 1:].max(axis=1, initial=0.0)
         self._nothing = NOTHING * _size(problem, met)
         self._own = problem.own_compliances
         scale = problem.contact_scale
@@ -437,42 +434,45 @@ class _Measured:
         If they have no effect, the largest entry of the block and the larger of both velocities are used.
         """
         met, own = (self._along, self._across)[kind], self._own[kind]
-        any_own, any_met = np.max(self._own, axis=0), np.maximum(self._along, self._across)
+        any_own, any_met = self._own.max(axis=0), np.maximum(self._along, self._across)
         size = np.where(abs(force) > self._nothing * self._problem.contact_scale, abs(force), 0.0)
         heard = own > NOTHING * any_own
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
-    def verdict(self, tolerance: float) -> LocalCertificate:
+    @cached_property
+    def verdict(self) -> LocalCertificate:
         """Return the certificate with these figures, without findings on uniqueness."""
-        r, u = self._force, self._velocity
+        r, u, tolerance = self.force, self.velocity, self._tolerance
         residual = float(np.linalg.norm(natural_map(r, u, self._problem.friction)))
-        figures: dict[str, Any] = {name: float(np.max(getattr(self, name), initial=0.0)) for name in FIGURES}
+        figures: dict[str, Any] = {name: float(getattr(self, name).max(initial=0.0)) for name in FIGURES}
         errors = {
             "natural_map": _natural_map(self._problem, r, u, self._met),
             "siconos_error": _siconos_error(self._problem, r, residual, u),
         }
-        failures = [self.failure(name, tolerance) for name in FIGURES if not figures[name] <= tolerance]
+        failures = [self._failure(name) for name in FIGURES if not figures[name] <= tolerance]
         if not errors["natural_map"] <= tolerance:  # NaN if forces overflow
             failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
         return _certificate({**errors, **figures}, tuple(failures), tolerance, self.slip, self.push)
 
-    def state(self, tolerance: float) -> tuple[Mask, Mask, Array]:
+    @cached_property
+    def state(self) -> tuple[Mask, Mask, Array]:
         """Return closed and sticking contacts, (m,) each, and the force directions of slipping ones (m, d)."""
+        tolerance = self._tolerance
         closed = (self.push > tolerance) | (self.gap <= tolerance)
         stuck = closed & (self.slip <= tolerance) & (self._problem.friction > 0) & (self.push > tolerance)
-        drag = self._problem.friction[:, None] * directions(self._velocity[:, 1:])
+        drag = self._problem.friction[:, None] * directions(self.velocity[:, 1:])
         return closed, stuck, np.column_stack([np.ones(len(drag)), -drag])
 
-    def failure(self, name: str, tolerance: float) -> str:
+    def _failure(self, name: str) -> str:
         values = getattr(self, name)
         worst = int(np.argmax(values))
         where = f"joint {worst}" if name == "joints" else self._problem.contact_name(worst)
-        return f"{name.replace('_', ' ')}: {values[worst]:.3g} at {where} (tolerance {tolerance:g})"
+        return f"{name.replace('_', ' ')}: {values[worst]:.3g} at {where} (tolerance {self._tolerance:g})"
 
 
 def _part(size: Vector, whole: Vector) -> Vector:
     """Return size / whole with 0/0 = 0, also if the reciprocal of the whole overflows."""
-    return np.divide(size, whole, out=np.zeros_like(whole), where=whole > 0)
+    return np.divide(size, whole, out=np.zeros(whole.shape), where=whole > 0)
 
 
 def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None) -> tuple[Array, Vector]:

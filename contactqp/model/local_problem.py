@@ -37,6 +37,7 @@ from contactqp.model.problem_data import (
     SYMMETRY_TOLERANCE,
     Matrix,
     ReadOnly,
+    eigenvalues_exceed,
     eigenvalues_of,
     is_number,
     read_array,
@@ -56,7 +57,10 @@ DEFINITENESS_CHECK_SIZE = 300
 LARGEST_SCALE = 1e150
 
 # Scales that depend on the matrices alone if every contact has a compliance.
-OF_MATRICES = ("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale")
+OF_MATRICES = (
+    *("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale"),
+    *("delassus_sizes", "own_compliances"),
+)
 
 
 @computes
@@ -156,8 +160,7 @@ class LocalProblem(ReadOnly):
             contact_names=names,
             asymmetry=_asymmetry(W),
         )
-        for name, value in values.items():
-            object.__setattr__(self, name, read_only(value))
+        vars(self).update({name: read_only(value) for name, value in values.items()})
         self._refuse_indefinite()
 
     def with_offsets(self, offset: Vector, bilateral_offset: Vector) -> LocalProblem:
@@ -172,32 +175,39 @@ class LocalProblem(ReadOnly):
         return twin
 
     def _refuse_indefinite(self) -> None:
-        W = self.delassus
-        diagonal = W.diagonal()
+        W, diagonal = self.delassus, self.delassus.diagonal()
         largest = np.max(abs(W.data), initial=0.0)
         own = np.repeat(self.contact_scale, self.dimension)
         worst = float(np.min(diagonal * own**2, initial=0.0))
         if 0 < W.shape[0] <= DEFINITENESS_CHECK_SIZE and largest > 0:
             root = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), own)
             scaled = root[:, None] * W.toarray() * root
-            worst = float(eigenvalues_of((scaled + scaled.T) / 2)[0]) if np.all(np.isfinite(scaled)) else -np.inf
+            symmetric, finite = (scaled + scaled.T) / 2, bool(np.isfinite(scaled).all())
+            if finite and eigenvalues_exceed(-INDEFINITE, symmetric):
+                return
+            worst = float(eigenvalues_of(symmetric)[0]) if finite else -np.inf
         if worst < -INDEFINITE:
             raise InvalidProblem(
                 f"delassus: expected positive semidefinite, got an indefinite matrix (eigenvalue {worst:.3g}, "
                 "largest diagonal entry 1 after scaling)"
             )
 
-    @property
+    @cached_property
     def contacts(self) -> int:
         """Number of contacts m."""
         return len(self.friction)
 
-    @property
+    @cached_property
     def joints(self) -> int:
         """Number of joints p."""
         return len(self.bilateral_offset)
 
-    @property
+    @cached_property
+    def delassus_sizes(self) -> Any:
+        """Return |W|."""
+        return read_only(abs(self.delassus))
+
+    @cached_property
     def own_compliances(self) -> Array:
         """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
         entries, d = self.delassus.tocoo(), self.dimension

@@ -349,10 +349,10 @@ def _resists_every_motion(K: Array) -> bool:
     if not (diagonal > 0).all():
         return False
     root = np.sqrt(diagonal)
-    return _eigenvalues_exceed(2 * SOFT, K / (root[:, None] * root))
+    return eigenvalues_exceed(2 * SOFT, K / (root[:, None] * root))
 
 
-def _eigenvalues_exceed(least: float, matrix: Array) -> bool:
+def eigenvalues_exceed(least: float, matrix: Array) -> bool:
     """Return whether all eigenvalues of a small symmetric matrix exceed a number, as far as rounding tells.
 
     The matrix less this number has Cholesky factors then, which take a tenth of the time that eigenvalues take.
@@ -377,7 +377,7 @@ def _refuse_indefinite(K: Array) -> None:
     # Rounding of an exactly semidefinite matrix moves its eigenvalues by a few n eps; printed digits by
     # SYMMETRY_TOLERANCE.
     rounding = 64 * len(K) * EPS
-    if _eigenvalues_exceed(-rounding / 2, scaled):
+    if eigenvalues_exceed(-rounding / 2, scaled):
         return
     eigenvalues = eigenvalues_of(scaled)
     if eigenvalues[0] < -rounding * max(eigenvalues[-1], 1.0):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.local_certificate import judged, with_uniqueness
+from contactqp.certificate.local_certificate import MeasuredForces, measured_forces, with_uniqueness
 from contactqp.certificate.other_answers import NOTHING
 from contactqp.errors import (
     InvalidProblem,
@@ -28,6 +28,7 @@ from contactqp.errors import (
 from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import (
     THREADS_PAY,
+    Array,
     Vector,
     in_any_time,
     on_one_thread,
@@ -126,10 +127,12 @@ def _solved(
             raise InvalidProblem("warm_start: expected a solution of a problem with the same contacts and joints")
         start = Iterate.at(form, form.scaled(warm_start.force), form.joint_force(form.scaled(warm_start.force)))
 
+    judge = _Judge(form, tolerance)
+
     def accepted(iterate: Iterate) -> bool:
         if not iterate.error <= max(WORTH_JUDGING, 100 * tolerance) * iterate.size:
             return False
-        return judged(problem, *form.unscaled(iterate.force, iterate.joint_force), tolerance=tolerance).passed
+        return judge.passes(iterate)
 
     with on_one_thread() if WORTH_ONE_THREAD <= len(form.q) < THREADS_PAY else nullcontext():
         if algorithm is None:
@@ -138,7 +141,7 @@ def _solved(
         else:
             outcome = run_algorithm(form, ALGORITHMS[algorithm], find(method), settings, start, accepted, polish)
     with in_any_time():
-        solution = _solution(problem, form, outcome, tolerance, began)
+        solution = judge.solution(outcome, began)
     if outcome.accepted:
         return solution
     if algorithm is None and not time_is_up() and not_enumerated(form) is None:
@@ -158,9 +161,8 @@ def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[Lo
     some nearly do.
     """
     began, form = time.perf_counter(), LocalForm(problem)
-    found = [
-        _solution(problem, form, Outcome(iterate, ENUMERATION, True), tolerance, began) for iterate in enumerated(form)
-    ]
+    judge = _Judge(form, tolerance)
+    found = [judge.solution(Outcome(iterate, ENUMERATION, True), began) for iterate in enumerated(form)]
     passed = tuple(solution for solution in found if solution.certificate.passed)
     near = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
     if not passed and near is not None and near.certificate.natural_map <= NEAR:
@@ -202,24 +204,42 @@ def _floor(outcome: Outcome) -> str:
     return f"; a minimisation sees the symmetric part of delassus only, which is off by {part:.2g} of it"
 
 
-def _solution(
-    problem: LocalProblem, form: LocalForm, outcome: Outcome, tolerance: float, began: float
-) -> LocalSolution:
-    iterate = outcome.iterate
-    force, joint = form.unscaled(iterate.force, iterate.joint_force)
-    certificate = with_uniqueness(problem, force, joint, tolerance)
-    return LocalSolution(
-        problem=problem,
-        force=force,
-        velocity=velocity_of(problem, force, joint),
-        joint_force=joint,
-        contact_status=local_status(problem, certificate),
-        certificate=certificate,
-        method=outcome.name,
-        seconds=time.perf_counter() - began,
-        iterations=iterate.iterations,
-        history=iterate.history,
-    )
+class _Judge:
+    """Judges the iterates of a form. The last one's figures are kept: the iterate that is accepted is certified too."""
+
+    def __init__(self, form: LocalForm, tolerance: float) -> None:
+        self._form, self._problem, self._tolerance = form, form.problem, tolerance
+        self._last: tuple[Array, Array, Array, MeasuredForces | None] | None = None
+
+    def _measured(self, iterate: Iterate) -> tuple[Array, Array, MeasuredForces | None]:
+        """Return the forces of contacts and joints in the problem's units, and what has been measured of them."""
+        if self._last is None or self._last[0] is not iterate.force:
+            force, joint = self._form.unscaled(iterate.force, iterate.joint_force)
+            measured = measured_forces(self._problem, force, joint, self._tolerance)
+            self._last = iterate.force, force, joint, measured
+        return self._last[1:]
+
+    def passes(self, iterate: Iterate) -> bool:
+        """Return whether every figure of an iterate is within the tolerance."""
+        measured = self._measured(iterate)[2]
+        return measured is not None and measured.verdict.passed
+
+    def solution(self, outcome: Outcome, began: float) -> LocalSolution:
+        """Return the solution that an outcome is, certified."""
+        force, joint, measured = self._measured(outcome.iterate)
+        certificate = with_uniqueness(self._problem, measured, self._tolerance)
+        return LocalSolution(
+            problem=self._problem,
+            force=force,
+            velocity=velocity_of(self._problem, force, joint) if measured is None else measured.velocity,
+            joint_force=joint,
+            contact_status=local_status(self._problem, certificate),
+            certificate=certificate,
+            method=outcome.name,
+            seconds=time.perf_counter() - began,
+            iterations=outcome.iterate.iterations,
+            history=outcome.iterate.history,
+        )
 
 
 # Answers are equal if their velocities agree to this part of the sizes of their terms.

@@ -129,18 +129,19 @@ def jacobian_blocks(r: Array, u: Array, friction: Vector) -> tuple[Array, Array,
     closed = trial > 0
     stuck = closed & (size <= bound) & (friction > 0)
     sliding = closed & ~stuck
-    A, B, phi = np.zeros((m, d, d)), np.zeros((m, d, d)), r.copy()
-    A[~closed] = np.eye(d)
+    A, B, phi, unit = np.zeros((m, d, d)), np.zeros((m, d, d)), r.copy(), np.eye(d)
+    A[~closed] = unit
     B[closed, 0, 0] = 1.0
     phi[closed, 0] = u[closed, 0]
     if d > 1:
-        B[stuck, 1:, 1:] = np.eye(d - 1)
+        unit = unit[1:, 1:]
+        B[stuck, 1:, 1:] = unit
         phi[stuck, 1:] = u[stuck, 1:]
         t = y[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)[:, None]
         share = bound[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)
-        across = share[:, None, None] * (np.eye(d - 1) - t[:, :, None] * t[:, None, :])
+        across = share[:, None, None] * (unit - t[:, :, None] * t[:, None, :])
         push = friction[sliding, None] * t
-        A[sliding, 1:, 1:] = np.eye(d - 1) - across
+        A[sliding, 1:, 1:] = unit - across
         A[sliding, 1:, 0] = -push
         B[sliding, 1:, 0] = push
         B[sliding, 1:, 1:] = across

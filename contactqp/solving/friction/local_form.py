@@ -22,6 +22,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.coulomb_law import natural_map
 from contactqp.errors import InvalidProblem, NotConverged
+from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
@@ -96,8 +97,8 @@ class LocalForm:
 
     def error(self, r: Array, joint: Vector) -> float:
         """Return the largest entry of the natural map's residual and of the residual of the joints."""
-        residual = np.max(abs(natural_map(r, self.velocity(r, joint), self.mu)), initial=0.0)
-        return float(max(residual, np.max(abs(self.joint_residual(r, joint)), initial=0.0)))
+        residual = abs(natural_map(r, self.velocity(r, joint), self.mu)).max(initial=0.0)
+        return float(max(residual, abs(self.joint_residual(r, joint)).max(initial=0.0) if self.joints else 0.0))
 
     def joint_residual(self, r: Array, joint: Vector) -> Vector:
         """Return the residual V'r + R l + s (p,) of the joints."""
@@ -131,8 +132,8 @@ class BlockSystem:
 
     def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
         V = form.V if coupling is None else coupling
-        R = form.R + JOINT_REGULARISATION * np.diag(form.joint_signs)
         self._size, self._sparse = A.shape[0], form.sparse
+        R = form.R + JOINT_REGULARISATION * np.diag(form.joint_signs) if form.joints else form.R
         if form.sparse:
             from scipy.sparse.linalg import splu
 
@@ -142,11 +143,9 @@ class BlockSystem:
             except RuntimeError as error:
                 raise np.linalg.LinAlgError(str(error)) from error
         else:
-            from scipy.linalg.lapack import dgetrf
-
             blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
             # LAPACK does not accept matrices without rows.
-            factor, pivots, info = dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
+            factor, pivots, info = lapack().dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
             if info > 0:
                 raise np.linalg.LinAlgError(f"pivot {info} is zero")
             self._factor = (factor, pivots)
@@ -159,9 +158,7 @@ class BlockSystem:
         elif self._sparse:
             solution = self._factor.solve(right)
         else:
-            from scipy.linalg import lu_solve
-
-            solution = lu_solve(self._factor, right, check_finite=False)
+            solution = lapack().dgetrs(*self._factor, right)[0]
         return solution[: self._size], solution[self._size :]
 
 
@@ -200,8 +197,10 @@ class Iterate:
     def nothing(cls, form: LocalForm) -> Iterate:
         """Return the iterate without contact forces, with the joint forces that belong to it."""
         none = np.zeros((form.m, form.d))
-        starts = (cls.at(form, none, joint) for joint in (np.zeros(form.joints), form.joint_force(none)))
-        return min(starts, key=lambda one: one.error)
+        at_rest = cls.at(form, none, np.zeros(form.joints))
+        if not form.joints:
+            return at_rest
+        return min(at_rest, cls.at(form, none, form.joint_force(none)), key=lambda one: one.error)
 
 
 class Deadline:

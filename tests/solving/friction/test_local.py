@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import contactqp as cq
+from contactqp.certificate.local_certificate import MeasuredForces
 from contactqp.linalg.measures import lengths
 from tests.solving.friction.problems import walls_that_conflict
 
@@ -269,6 +270,23 @@ def test_more_sides_are_nearer_and_both_polygons_enclose_the_cone(sides: tuple[i
                 cq.solve(problem, algorithm="aclm", facets=facets, polygon=polygon, polish=False)
             found: Any = refused.value.solution
             assert np.isclose(lengths(found.force[:, 1:])[0] / found.force[0, 0], expected, rtol=1e-6)
+
+
+def test_forces_that_were_accepted_are_certified_as_they_were_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Measured again for the certificate they took a third longer to find.
+    problem, right, _ = made(3)
+    measured: list[object] = []
+    original = MeasuredForces.__init__
+
+    def counted(self: MeasuredForces, *given: Any, **named: Any) -> None:
+        measured.append(self)
+        original(self, *given, **named)
+
+    monkeypatch.setattr(MeasuredForces, "__init__", counted)
+    solution = cq.solve(problem)
+    assert len(measured) == 1
+    np.testing.assert_allclose(solution.force, right, atol=1e-12)
+    assert solution.certificate.passed
 
 
 def test_a_wrong_answer_fails_and_says_where() -> None:
