@@ -121,13 +121,23 @@ def factors_are_dear(problem: ContactProblem) -> bool:
     free = free_memory() if needed > LITTLE_MEMORY else None
     if operations <= MOST_OPERATIONS and (free is None or needed <= free):
         return False
+    operations, needed = _of_levels(problem)
+    return operations > MOST_OPERATIONS or (free is not None and needed > free)
+
+
+def factors_take(problem: ContactProblem, operations: float) -> bool:
+    """Return whether factors of K are predicted to take more than so many operations."""
+    return _of_cube(problem)[0] > operations and _of_levels(problem)[0] > operations
+
+
+def _of_levels(problem: ContactProblem) -> tuple[float, float]:
+    """Return the operations and bytes of factors of K by levels of the breadth-first search, or as those of a cube."""
     n, of_stiffness = float(problem.dimension), problem._computed.of_stiffness
     if of_stiffness.widest_level is None:
         nodes = problem.stiffness_rows[::AXES][:, ::AXES]  # one unknown per node, with a ninth of the entries
         of_stiffness.widest_level = AXES * (widest_level(nodes) or problem.dimension)
-    operations = min(operations, n * of_stiffness.widest_level**2)
-    needed = min(needed, 8.0 * n * of_stiffness.widest_level)
-    return operations > MOST_OPERATIONS or (free is not None and needed > free)
+    operations, needed = _of_cube(problem)
+    return min(operations, n * of_stiffness.widest_level**2), min(needed, 8.0 * n * of_stiffness.widest_level)
 
 
 def _rests_on_springs(problem: ContactProblem) -> bool:

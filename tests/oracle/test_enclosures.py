@@ -17,7 +17,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.oracle.exact import refinement
+from contactqp.oracle.exact import enclosed_answer, refinement
 from contactqp.oracle.exact.enclosed_answer import enclose
 from contactqp.oracle.exact.refinement import FixedMatrix, fixed, least_eigenvalue, refine
 from tests.examples import truss
@@ -347,3 +347,26 @@ def test_motions_that_contacts_without_force_block_prove_no_absence() -> None:
         cq.NotCertified, match="the stiffness, with the contacts that push, is not proven to be positive definite"
     ):
         cq.exact(problem, enclose=True)
+
+
+def chain(count: int) -> cq.ContactProblem:
+    """A sparse chain of springs between walls, pulled at its end against a stop."""
+    K = sp.diags([-np.ones(count - 1), 2.0 * np.ones(count), -np.ones(count - 1)], [-1, 0, 1], format="csr")
+    end = sp.csr_matrix(([1.0], ([0], [count - 1])), shape=(1, count))
+    return cq.ContactProblem(K, np.arange(count) == count - 1.0, end, [0.5])
+
+
+def test_what_is_too_large_to_be_factorised_is_refused_before_it_is_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cq.exact(chain(400)).free_motions == ()
+    monkeypatch.setattr(enclosed_answer, "factors_are_dear", lambda _: True)
+    monkeypatch.setattr(enclosed_answer, "solve", lambda *_, **__: pytest.fail("it was solved"))
+    with pytest.raises(cq.Unsupported, match=r"exact: 400 unknowns: an enclosure needs factors .* a coarser mesh"):
+        cq.exact(chain(400))
+
+
+def test_factors_whose_rounding_is_not_bounded_are_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That the stiffness was not proven to be positive definite had been said, after as long as a minute."""
+    monkeypatch.setattr(enclosed_answer, "MOST_WORK", 100.0)
+    monkeypatch.setattr(enclosed_answer, "refine", lambda *_, **__: pytest.fail("it was refined"))
+    with pytest.raises(cq.NotCertified, match=r"take more than the 1e\+02 multiplications whose rounding is bounded"):
+        cq.exact(chain(400), enclose=True)

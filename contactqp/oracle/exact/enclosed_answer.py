@@ -12,17 +12,20 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
+from contactqp.linalg.iteration import factors_are_dear, factors_take
 from contactqp.model.arrays import EPS, Indices, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
 from contactqp.oracle.exact.rational_answer import Asked, symmetrised
 from contactqp.oracle.exact.refinement import (
+    MOST_WORK,
     SAFE,
     Fixed,
     FixedMatrix,
     Refined,
     fixed,
+    is_dense,
     largest_row_sum,
     least_eigenvalue,
     refine,
@@ -249,17 +252,29 @@ FLOATS_THAT_FLOAT = (
 )
 
 
+# Factorisations of bodies in space are predicted to take up to so many times what they take.
+OVERESTIMATED = 8.0
+
+
 def prove_by_enclosure(asked: Asked) -> ExactSolution:
     """Return intervals that contain all displacements and forces of the equilibrium, proven.
 
     Raises NotCertified: the contact set is not proven: contacts that just touch, redundant ones, bodies that float;
-    NotConverged: refinement ends too early; NoEquilibrium: there is none, by a proof in floats; Unsupported: friction.
+    NotConverged: refinement ends too early; NoEquilibrium: there is none, by a proof in floats; Unsupported: friction,
+    or a stiffness too large to be factorised.
     """
     problem = asked.problem
     if problem.frictional:
         raise Unsupported(f"exact: friction with {problem.dimension} unknowns, too many for rational numbers")
+    large = f"exact: {problem.dimension} unknowns: an enclosure needs factors of the stiffness, which are predicted to"
+    cure = "`contactqp run` and `check` bound the error of its floats, and a coarser mesh can be enclosed"
+    if factors_are_dear(problem):
+        raise Unsupported(f"{large} take too long or not to fit into the free memory; {cure}")
     try:
         first = solve(problem, asked.method, **asked.options)
+        if not is_dense(problem.stiffness_rows) and factors_take(problem, OVERESTIMATED * MOST_WORK):
+            text = f"{large} take more than the {MOST_WORK:.0e} multiplications whose rounding is bounded; {cure}"
+            raise NotCertified(text, first)
         held = hold(problem, first) if first.free_motions else None
         refined = refine(problem, asked.method, first=first, **asked.options) if held is None else None
     except NoEquilibrium as error:

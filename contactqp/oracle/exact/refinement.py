@@ -169,7 +169,7 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
 
 def _estimate(matrix: Any) -> float | None:
     """Estimate the least eigenvalue by inverse iteration; None where the matrix is singular."""
-    factors = _dense_factors(matrix) if _is_dense(matrix) else _factors(matrix)
+    factors = _dense_factors(matrix) if is_dense(matrix) else _factors(matrix)
     if factors is None:
         return None
     x = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -183,7 +183,8 @@ def _estimate(matrix: Any) -> float | None:
     return value
 
 
-def _is_dense(matrix: Any) -> bool:
+def is_dense(matrix: Any) -> bool:
+    """Return whether a matrix is factorised as a dense one."""
     size = matrix.shape[0]
     return bool(size <= MOST_DENSE and matrix.nnz > DENSE * size * size)
 
@@ -233,7 +234,7 @@ def _left_out(matrix: Any, shift: float) -> float | None:
     size = matrix.shape[0]
     shifted = sp.csc_matrix(matrix - shift * sp.identity(size, format="csc"))
     forming = _forming(matrix, shift)
-    if _is_dense(shifted):
+    if is_dense(shifted):
         parts = _left_out_of_dense(shifted)
         return None if parts is None else (sum(parts) + forming) * SAFE
     factors = _factors(shifted)
