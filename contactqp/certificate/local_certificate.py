@@ -104,21 +104,21 @@ def _reason(problem: LocalProblem, critical: CriticalFriction) -> str:
 def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> bool:
     d, columns = problem.dimension, list[Vector]()
     for i in np.flatnonzero(closed).tolist():
-        own = np.eye(d) if stuck[i] else along[i : i + 1]
-        for direction in own:
+        for direction in np.eye(d) if stuck[i] else along[i : i + 1]:
             column = np.zeros(d * problem.contacts)
             column[d * i : d * (i + 1)] = direction
             columns.append(column)
     if not columns:
         return False
     B = np.array(columns).T
-    joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
-    coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
-    inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
-    matrix = np.block([[B.T @ (problem.scaled_delassus @ B), coupling], [coupling.T, inner]])
-    size = np.sqrt(np.maximum(np.max(abs(matrix), axis=1, initial=0.0), TINY))
-    scaled = matrix / np.outer(size, size)
-    if not np.all(np.isfinite(scaled)):
+    matrix = B.T @ (problem.scaled_delassus @ B)
+    if problem.joints:
+        joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
+        coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
+        inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
+        matrix = np.block([[matrix, coupling], [coupling.T, inner]])
+    size = np.sqrt(np.maximum(abs(matrix).max(axis=1, initial=0.0), TINY))
+    if not np.isfinite(scaled := matrix / np.outer(size, size)).all():
         return False  # forces overflow
     factor, _, failed = lapack().dgetrf(scaled)
     if not failed and lapack().dgecon(factor, np.linalg.norm(scaled, 1))[0] > SURELY_INDEPENDENT:

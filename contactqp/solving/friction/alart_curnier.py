@@ -109,13 +109,13 @@ def _direction(form: LocalForm, here: Iterate, regularisation: float) -> tuple[A
         view = product.reshape(form.m, form.d, form.m, form.d)
         view[own, :, own, :] += A + regularisation * B
         matrix = product.reshape(form.m * form.d, form.m * form.d)
-        coupling = np.einsum("iab,ibc->iac", B, form.V.reshape(form.m, form.d, -1)).reshape(form.m * form.d, -1)
+        coupling = np.einsum("iab,ibc->iac", B, form.V.reshape(form.m, form.d, form.joints)).reshape(form.V.shape)
     try:
         system = BlockSystem(form, matrix, coupling)
         change, joint = system.solve(-phi.ravel(), -form.joint_residual(r, here.joint_force))
     except np.linalg.LinAlgError:
         return None  # singular: a larger regularisation
-    if not np.all(np.isfinite(change)) or not np.all(np.isfinite(joint)):
+    if not (np.isfinite(change).all() and np.isfinite(joint).all()):
         return None
     return change.reshape(form.m, form.d), joint
 

@@ -63,7 +63,7 @@ class LocalForm:
         entries = self.W.data if self.sparse else self.W
         joints = {"bilateral": self.V, "bilateral_delassus": self.R, "bilateral_offset": self.s}
         for name, values in {"delassus": entries, "offset": self.q, **joints}.items():
-            if not np.all(np.isfinite(values)):
+            if not np.isfinite(values).all():
                 raise InvalidProblem(
                     f"{name}: an entry is no double in units in which every contact's own compliance is one and what "
                     "drives it is one; state the problem in units in which its numbers are nearer to each other"
