@@ -22,15 +22,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
-from contactqp.linalg.dense import BALANCED
+from contactqp.linalg.dense import BALANCED, unknown_scale
 from contactqp.linalg.exact_algebra import Polyhedron, Row, solutions
 from contactqp.linalg.existence import unresisted
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.measures import forces_that_meet
 from contactqp.linalg.nonnegative import highs
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import around
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.methods import Settings
 from contactqp.solving.methods.backends import collected_words
@@ -219,25 +221,31 @@ _QUADRANT = [(Fraction(x, r), Fraction(y, r)) for x, y, r in _FIRST]
 TANGENTS = [side for x, y in _QUADRANT for side in ((x, y), (-y, x), (-x, -y), (y, -x))]
 # Contacts and unknown displacements and forces up to which all choices of closed contacts are looked at in rationals.
 MOST_CLOSED, MOST_EQUATIONS = 4, 24
-# Rounding of the data could make no more of what is left unbalanced, and of overlaps, than this part of loads and gaps.
+# Rounding of the data could make no more of what is left unbalanced, and of overlaps, than this part of all that meets.
 UNBALANCED = 1e-6
 
 
-def refuse_unbalanced_in_space(problem: ContactProblem, form: LocalForm) -> None:
+def refuse_unbalanced_in_space(problem: ContactProblem, answer: Answer) -> None:
     """Raise NoEquilibrium if no forces in cones around those of friction balance the load, whichever contacts close.
 
     With the contacts of a set closed, E_N u = g there and no force elsewhere, K u + E'l + A'n = f is linear in u and
     the forces; that l_N >= 0, |l_T| <= mu l_N in a polygon around the circle, and gaps >= 0 has no solution is proven
-    by the simplex method in rational numbers, for each set, where floats find much more missing in the local form than
-    rounding of the data. Larger problems, and those in the plane, whose combinations are listed, are not examined.
+    by the simplex method in rational numbers, for each set, where floats find much more missing than rounding of the
+    forces and lengths that meet in some answer. Larger problems, and those in the plane, whose combinations are listed,
+    are not examined.
     """
     n, m, k = problem.dimension, problem.contacts, problem.ties
     if problem.tangent is None or problem.friction is None or problem.tangent.shape[0] == m:
         return
     if m > MOST_CLOSED or n + 3 * m + k > MOST_EQUATIONS:
         return
-    sets = list(itertools.product((True, False), repeat=m))
-    if any(_missing(form, closed) <= UNBALANCED for closed in sets):
+    sets, scale = list(itertools.product((True, False), repeat=m)), unknown_scale(problem)
+    size = float(np.max(forces_that_meet(problem, answer) * scale, initial=0.0))
+    for rows, limit in ((problem.normal, problem.gap), (problem.tie, problem.tie_value)):
+        length = abs(rows) @ abs(answer.displacement) + abs(np.where(np.isfinite(limit), limit, 0.0))
+        unit = abs(rows) @ scale
+        size = max(size, float(np.max(length / np.where(unit > 0, unit, np.inf), initial=0.0)))
+    if not 0 < size < np.inf or any(_missing(problem, scale, size, closed) <= UNBALANCED for closed in sets):
         return
     columns, reachable = n + 3 * m + k, np.isfinite(problem.gap)
     rows = sp.hstack([problem.stiffness, problem.normal.T, problem.tangent.T, problem.tie.T])
@@ -270,32 +278,38 @@ def refuse_unbalanced_in_space(problem: ContactProblem, form: LocalForm) -> None
     )
 
 
-def _missing(form: LocalForm, closed: tuple[bool, ...]) -> float:
-    """Return the least t to which forces of closed contacts, in their polygons, and joints leave the law unmet.
+def _missing(problem: ContactProblem, scale: Vector, size: float, closed: tuple[bool, ...]) -> float:
+    """Return the least t to which displacements and forces in their polygons leave the conditions of a set unmet.
 
-    |u_N| <= t at closed contacts, u_N >= -t at the others, |V'r + R l + s| <= t.
+    Unknowns are divided by their scale and all by a size, both of the energy's root; rows have unit length. Residuals
+    of the balance, of ties and of closed contacts are at most t, and gaps of the others at least -t.
     """
-    shut, columns = np.array(closed, dtype=bool), form.m * form.d + form.joints
-    W = form.W.toarray() if form.sparse else form.W
-    approach = np.hstack([W, form.V])[:: form.d]
-    balance = np.hstack([form.V.T, form.R])
-    cones = np.zeros((form.m, len(TANGENTS), columns))
-    for i in range(form.m):
-        cones[i, :, form.d * i] = -form.mu[i]
-        cones[i, :, form.d * i + 1 : form.d * i + 3] = np.array(TANGENTS, dtype=float)
-    rows = np.vstack([approach[shut], -approach, balance, -balance])
-    limits = np.concatenate([-form.q[:: form.d][shut], form.q[:: form.d], -form.s, form.s])
-    rows = np.hstack([rows, -np.ones((len(rows), 1))])
-    cones = np.hstack([cones.reshape(-1, columns), np.zeros((form.m * len(TANGENTS), 1))])
-    bounds: list[tuple[float | None, float | None]] = [(None, None)] * columns + [(0.0, None)]
-    for i in range(form.m):
-        bounds[form.d * i] = (0.0, None if shut[i] else 0.0)
-    found = highs(
-        np.append(np.zeros(columns), 1.0),
-        A_ub=np.vstack([rows, cones]),
-        b_ub=np.concatenate([limits, np.zeros(len(cones))]),
-        bounds=bounds,
-    )
+    n, m, k, shut = problem.dimension, problem.contacts, problem.ties, np.array(closed, dtype=bool)
+    K = sp.csr_array(problem.stiffness).toarray() * np.outer(scale, scale)
+    parts = [sp.csr_array(part).toarray() * scale for part in (problem.normal, problem.tangent, problem.tie)]
+    E, T, A = (part / np.where((length := np.linalg.norm(part, axis=1)) > 0, length, 1.0)[:, None] for part in parts)
+    E_length, T_length, A_length = (np.linalg.norm(part, axis=1) for part in parts)
+    gap = np.where(E_length > 0, problem.gap, 0.0) / np.where(E_length > 0, E_length, 1.0) / size
+    tied = problem.tie_value / np.where(A_length > 0, A_length, 1.0) / size
+    balance = np.hstack([K, E.T, T.T, A.T])
+    still = np.zeros((1, 3 * m + k))
+    near = np.isfinite(gap)
+    lengths_of = [np.hstack([rows, np.repeat(still, len(rows), axis=0)]) for rows in (A, E[shut], E[near])]
+    equal = np.vstack([balance, *lengths_of[:2]])
+    right = np.concatenate([problem.load * scale / size, tied, gap[shut]])
+    cones, friction = np.zeros((m * len(TANGENTS), balance.shape[1])), np.asarray(problem.friction)
+    for i in range(m):
+        own = slice(i * len(TANGENTS), (i + 1) * len(TANGENTS))
+        cones[own, n + i] = -friction[i]
+        for axis, j in enumerate((2 * i, 2 * i + 1)):
+            cones[own, n + m + j] = np.array(TANGENTS, dtype=float)[:, axis] * E_length[i] / (T_length[j] or 1.0)
+    unmet = np.vstack([equal, -equal, lengths_of[2]])
+    rows = np.vstack([np.hstack([unmet, -np.ones((len(unmet), 1))]), np.hstack([cones, np.zeros((len(cones), 1))])])
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * balance.shape[1] + [(0.0, None)]
+    for i in range(m):
+        bounds[n + i] = (0.0, None if shut[i] else 0.0)
+    limits = np.concatenate([right, -right, gap[near], np.zeros(len(cones))])
+    found = highs(np.append(np.zeros(balance.shape[1]), 1.0), A_ub=rows, b_ub=limits, bounds=bounds)
     return 0.0 if found is None else float(found.x[-1])
 
 

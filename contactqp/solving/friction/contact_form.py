@@ -346,7 +346,7 @@ def _on_form(
 
         def refuse_none() -> None:
             refuse_conflict(problem, condensation)
-            refuse_unbalanced_in_space(problem, form)
+            refuse_unbalanced_in_space(problem, contacts.plain(form, start))
 
         outcome = run_any(form, settings, start, accepted, refuse_none, attempts, MOST_TRIED)
     else:
@@ -358,7 +358,7 @@ def _on_form(
     if not found and holds(problem, plain := contacts.plain(form, iterate), settings.tolerance):
         found, name = [plain], outcome.name  # with redundant contacts the refinement may fail
     if not found:
-        refuse_unbalanced_in_space(problem, form)
+        refuse_unbalanced_in_space(problem, contacts.plain(form, start))
         raise NotConverged(
             f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
             f"{iterate.iterations} iterations{nearby}",

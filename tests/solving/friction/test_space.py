@@ -359,3 +359,24 @@ def test_a_block_on_a_spring_that_friction_cannot_hold_has_no_equilibrium(
         cq.solve(on_spring, algorithm=algorithm)
     held = 0.299 * (10.0 - 5.0 * gap) / float(np.hypot(*push))
     assert cq.solve(on_spring.replace(load=[held * push[0], held * push[1], -10.0])).contact_status == ("stick",)
+
+
+@pytest.mark.parametrize("seed", [3, 5, 28])
+def test_what_rounding_leaves_of_gaps_that_ties_determine_is_no_proof(seed: int) -> None:
+    """Ties hold all unknowns that a contact feels: its gap is zero but for the rounding of their rows."""
+    rng = np.random.default_rng(seed)
+    axes, tie = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.integers(-3, 4, size=(3, 3)).astype(float)
+    u = rng.integers(-5, 6, 3) / 10
+    normal, tangent = axes[:1], axes[1:]
+    tied = cq.ContactProblem(
+        np.diag([1.0, 0.0, 0.0]),
+        [0.3, 0.1, 0.0],
+        normal,
+        normal @ u,
+        tangent,
+        friction=0.4,
+        tie=tie,
+        tie_value=tie @ u,
+        slip_origin=(tangent @ u)[None],
+    )
+    assert cq.solve(tied).displacement == pytest.approx(u, abs=1e-14)
