@@ -22,7 +22,7 @@ from contactqp.certificate.figures import (
     without_part_along,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import RigidMotions, SaddlePoint
+from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import that_move
@@ -126,6 +126,8 @@ def free_distance(
 ) -> float:
     """Return the energy norm of a distance along free motions, which is rounding of K.
 
+    Along all rigid motions where the solution is not strained: ties and contacts may ask for one without any force.
+
     Parameters
     ----------
     problem : ContactProblem
@@ -134,12 +136,12 @@ def free_distance(
     apart : Extended (n,), the distance
     energy_scale : |u*|_K of the solution
     """
-    motions = free_motions(condensation, saddle)
+    motions = free_motions(condensation, saddle) if energy_scale > 0 else orthonormal(condensation.rigid.motions)
     if not motions.shape[1]:
         return 0.0
     resisted, _ = energy_norm(problem, without_part_along(motions, apart))
     distance = sum(energy_norm(problem, apart))
-    if 0 < FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
+    if FEW_DIGITS**2 * energy_scale < resisted:  # motions in doubles leave a rounding of the whole distance
         forces = extended_rows(problem).stiffness @ apart
         elastic, missing = response(problem, condensation, forces, tied=False)
         resisted = min(resisted, sum(energy_norm(problem, elastic)) + missing)

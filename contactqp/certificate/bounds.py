@@ -391,7 +391,10 @@ def _force_error(
     (_, size, uncertain), *_ = found
     largest = missed = 0.0
     if problem.ties > 0 and independent:
-        largest = float(np.max(own_forces(problem, pair.force.double(), pair.tie_force.double())))
+        own = own_forces(problem, pair.force.double(), pair.tie_force.double())
+        # A contact at unknowns without stiffness pushes on what ties hold to them.
+        unseen = extend(np.where(own[: problem.contacts] == 0, pair.force.double(), 0.0))
+        largest = max(float(np.max(own)), force_norm(problem, condensation, unseen)[0])
         missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
     if size == 0:  # without contact forces, those of ties are also compared directly
         # Forces that are zero in a repaired pair may have any size up to its radius.

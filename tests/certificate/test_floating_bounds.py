@@ -476,3 +476,33 @@ def test_noise_of_a_displacement_drives_nothing_where_nothing_loads_the_body() -
     noise = np.array([0.0, 1.06e-16, -1.73e-17, -2.45e-15, 4.54e-16, -1.28e-15, 3.63e-15, -3.42e-15])
     assert cq.certify(problem, noise, np.zeros(5), tie_force=np.zeros(2)).proven
     assert not cq.certify(problem, noise, [0.0, 0.0, 0.0, 1e-3, 0.0], tie_force=np.zeros(2)).passed
+
+
+def test_what_rounding_strains_along_a_motion_that_a_tie_asks_for_is_no_error() -> None:
+    """Nothing is strained; the answer differs from the middle of all by a motion that the tie holds."""
+    problem = cq.ContactProblem(
+        stiffness=[[4608.0, -3072.0, 0, 0], [-3072.0, 2048.0, 0, 0], [0.0] * 4, [0.0] * 4],
+        load=np.zeros(4),
+        normal=[[2.0, -1.0, -3.0, 2.0], [-2.0, 2.0, 3.0, -1.0]],
+        gap=[9.0, -7.0],
+        tie=[[0.0, 0.0, 0.0, 2.0]],
+        tie_value=[2.0],
+    )
+    u = np.array([0.0, 0.0, -2.0, 1.0])
+    assert cq.certify(problem, u).passed
+    for strained in (1e-6, 1e-11):
+        assert not cq.certify(problem, u + np.array([strained, 0.0, 0.0, 0.0])).passed
+
+
+def test_forces_of_ties_are_held_against_a_contact_at_unknowns_without_stiffness() -> None:
+    """The contact carries the load, and the tie nothing: a rounding of its force was compared with itself."""
+    K = np.zeros((5, 5))
+    K[np.ix_([0, 2], [0, 2])] = [[4.0, -8.0], [-8.0, 16.0]]
+    problem = cq.ContactProblem(
+        K, [0, 0, 0, 4.0, 4.0], [[0, 0, 0, 2.0, 2.0]], [-2.0], tie=[[-1.0, 2.0, -1.0, 1.0, 2.0]], tie_value=[-0.75]
+    )
+    u = [2.0, 1.625, 1.0, -1.0, 0.0]
+    for tie_force in (0.0, -2.8e-16, None):
+        assert cq.certify(problem, u, [2.0], tie_force=None if tie_force is None else [tie_force]).passed
+    assert not cq.certify(problem, u, [2.0], tie_force=[1e-8]).passed
+    assert not cq.certify(problem, u, [2.0 + 1e-8], tie_force=[0.0]).passed

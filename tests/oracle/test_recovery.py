@@ -322,3 +322,19 @@ def test_nearly_dependent_rows_do_not_share_what_rounding_leaves_of_a_displaceme
     assert any("those of the solution" in note for note in judged.notes)
     assert not cq.certify(problem, np.array(u) * (1 + 1e-4)).passed
     assert not cq.certify(problem, np.array(u) * np.append(np.ones(len(u) - 1), 1 + 1e-4)).passed
+
+
+def test_a_force_that_least_squares_leave_of_none_is_none() -> None:
+    """On the motion that the ties alone hold nothing else acts, and there 1e-15 was out of balance."""
+    problem = cq.ContactProblem(
+        [[8.0, 8, 0, 8], [8, 16, 0, 8], [0, 0, 0, 0], [8, 8, 0, 8]],
+        [0.0, 2.0, -6.0, 0.0],
+        [[3.0, -2.0, 2.0, 3.0], [0.0, 1.0, -3.0, 0.0]],
+        [1.375, -2.0625],
+        tie=[[-2.0, 2.0, 2.0, 1.0], [-2.0, -1.0, 2.0, -1.0]],
+        tie_value=[-0.5, 0.75],
+    )
+    judged = cq.certify(problem, [0.625, 0.0, 0.6875, -0.625])
+    assert judged.passed
+    assert judged.answer.tie_force.tolist() == [0.0, 0.0]
+    assert judged.answer.normal_force == pytest.approx([0.0, 2.0], abs=1e-14)

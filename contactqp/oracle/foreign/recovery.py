@@ -35,7 +35,7 @@ from contactqp.linalg.least_norm import shift_to_least_norm
 from contactqp.linalg.measures import directions, lengths, lengths_that_meet
 from contactqp.linalg.nonnegative import forces_without_tension, shift_within_gaps
 from contactqp.linalg.refinement import answer_on, pushing_contacts
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -48,6 +48,8 @@ DEPENDENT_UNIT_ROWS = 1e-12
 DENSE_ROWS = 1500
 # Forces without tension may explain this much less of the residual than any forces would.
 NEARLY_AS_WELL = 1e-9
+# What least squares leave of forces that are zero, as a part of what they balance.
+ROUNDED = 16 * EPS
 # Forces of this part of the largest, which HiGHS' linear programs know to 1e-7, act.
 ACTING = 1e-6
 
@@ -100,8 +102,8 @@ def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vec
     if len(B) == 1:
         return B @ r, False
     force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT_UNIT_ROWS)
-    if rank == len(B):
-        return np.asarray(force), False
+    if rank == len(B):  # a force beneath the rounding of the sum is none
+        return np.where(abs(force) > ROUNDED * np.linalg.norm(r), force, 0.0), False
     size = float(np.linalg.norm(r))
     if size == 0:
         return np.zeros(len(B)), True
