@@ -1,22 +1,23 @@
 """PETSc's own solvers of problems with bounds, for comparison: Newton's methods of SNES for variational inequalities
 (Benson and Munson 2006) and TAO's trust-region method.
 
-Contacts and ties become bounds on single unknowns by a change of unknowns u = T w. A row E_i that has an unknown p of
-its own, one that no other row touches, limits w_p = E_i u / E_ip alone:
+Contacts and ties become bounds on single unknowns by a change of unknowns u = T w. A row E_i with an unknown p that no
+other row touches limits w_p = E_i u / E_ip alone:
 
     u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
 
-so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, which are equal for a
-tie. Rows along one direction share their unknown. The residual r = f - K u is the force of
+so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, equal ones for a tie.
+Parallel rows share their unknown. The residual r = f - K u is the force of
 the rows: (T'r)_p = r_p = E_ip l_i.
 
-The solvers see the problem without units, K_jj = 1 and |f| = 1: what SNES calls zero (``-snes_vi_zero_tolerance``,
-1e-8) is an absolute length, with which a contact would count as closed that is not. PETSc's options for them have the
-prefix ``contactqp_bounds_`` and override ours.
+The solvers get the problem without units, K_jj = 1 and |f| = 1, because the zero tolerance of SNES
+(``-snes_vi_zero_tolerance``, 1e-8) is an absolute length, by which open contacts could count as closed. PETSc's options
+for them have the prefix ``contactqp_bounds_`` and override ours.
 
 The reduced-space and the trust-region method solve on the unknowns that are not at a bound, whose number changes from
 step to step. PETSc 3.18's GAMG fails there ("Cannot change local size of Amat after use"). MUMPS, BoomerAMG and
-incomplete factors of blocks ("asm") are made anew each time, and work with all three methods.
+incomplete
+factors of blocks ("asm") are set up again each time, and work with all three methods.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from contactqp.model.arrays import Indices, Vector
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods import Settings
 
-# The place of no unknown, and of no row.
+# # The index for no unknown or no row.
 NONE = -1
 
 
@@ -50,7 +51,7 @@ class BoundUnknowns:
     ----------
     problem : the problem in u
     rows : contacts, then ties
-    pivot : (a,) array of int, the column of each row's unknown p; NONE of rows that touch nothing
+    pivot : (a,) array of int, the column of each row's unknown p; NONE for rows of zeros
     """
 
     problem: DistributedProblem
@@ -59,19 +60,19 @@ class BoundUnknowns:
 
     @cached_property
     def limit(self) -> Vector:
-        """Return the bound (a,) that each row sets on its unknown w_p [length]."""
+        """Return the bound (a,) of each row on its unknown w_p [length]."""
         return np.concatenate([self.problem.gap, self.problem.tie_value]) / self.coefficient
 
     @cached_property
     def coefficient(self) -> Vector:
-        """Return E_ip (a,); 1 of rows that touch nothing."""
+        """Return E_ip (a,), 1 for rows of zeros."""
         found, rows = np.ones(len(self.pivot)), np.flatnonzero(self.pivot != NONE)
         found[rows] = np.asarray(self.rows.entries[rows, self.pivot[rows]]).ravel()
         return found
 
     @cached_property
     def tightest(self) -> tuple[Indices, Indices]:
-        """Return the rows (t,) that limit each column from above and from below; NONE where none does."""
+        """Return the rows (t,) that limit each column from above and from below, NONE where there is none."""
         acting, tie = self.pivot != NONE, np.arange(len(self.limit)) >= self.problem.contacts
         sides = []
         for sign in (1.0, -1.0):
@@ -84,7 +85,7 @@ class BoundUnknowns:
 
     @cached_property
     def bounds(self) -> tuple[Vector, Vector]:
-        """Lower and upper bounds (n_here,) on w [length], infinite where there is none.
+        """Return lower and upper bounds (n_here,) on w [length], infinite where there is none.
 
         Raises
         ------
@@ -100,14 +101,14 @@ class BoundUnknowns:
         return lower, upper
 
     def _everywhere(self, row: Indices, values: Vector) -> Vector:
-        """Return values (t,) of the columns that have a row as a distributed vector; NaN elsewhere."""
+        """Return values (t,) of the columns with a row as a distributed vector, NaN elsewhere."""
         there = row != NONE
         found = self.rows.assembled(np.where(there, values, 0.0))
         return np.where(self.rows.assembled(there.astype(float)) > 0, found, np.nan)
 
     @cached_property
     def change(self) -> Any:
-        """Return T (n, n) as a PETSc.Mat; None where every row touches one unknown."""
+        """Return T (n, n) as a PETSc.Mat, None if every row touches one unknown."""
         entries, ranks = self.rows.entries, self.problem.ranks
         length = np.diff(entries.indptr)
         first = [row for side in self.tightest for row in side[side != NONE] if length[row] > 1]
@@ -143,7 +144,7 @@ class BoundUnknowns:
         return w if self.change is None else Product(self.change)(w)
 
     def unknowns(self, displacement: Vector) -> Vector:
-        """Return w = T^-1 u, which at each p is the length of its row over E_ip."""
+        """Return w = T^-1 u, at each p the length of its row over E_ip."""
         length = self.rows.lengths(displacement) / self.coefficient
         above, below = self.tightest
         row = np.where(above != NONE, above, below)
@@ -153,8 +154,7 @@ class BoundUnknowns:
     def forces(self, w: Vector, residual: Vector, diagonal: Vector) -> tuple[Vector, Vector]:
         """Return l (m_here,) and nu (k_here,) from T'(f - K u), with the diagonal of T'KT.
 
-        A row carries a force where force and gap say so together, r + K_pp (w - bound) > 0 from above; of rows that
-        share an unknown the tightest does.
+        A row has a force if r + K_pp (w - bound) > 0 (for an upper bound); of rows that share an unknown, the tightest.
         """
         force, r = np.zeros(len(self.pivot)), self.rows.at_touched(residual)
         stiffness, at = self.rows.at_touched(diagonal), self.rows.at_touched(w)
@@ -168,9 +168,9 @@ class BoundUnknowns:
 
 
 def bound_unknowns(problem: DistributedProblem, method: str) -> BoundUnknowns:
-    """Return unknowns that every contact and tie is a bound on. Collective.
+    """Return unknowns on which every contact and tie is a bound. Collective.
 
-    Raises Unsupported: a contact or tie has no unknown of its own; the first one is named.
+    Raises Unsupported: a contact or tie shares all its unknowns with other rows; the first one is named.
     """
     rows = stacked_rows([problem.normal, problem.tie], problem.stiffness)
     rows.entries.eliminate_zeros()
@@ -181,7 +181,7 @@ def bound_unknowns(problem: DistributedProblem, method: str) -> BoundUnknowns:
     times = np.bincount(entries.indices[leads[row]], minlength=len(rows.touched)).astype(float)
     private = (rows.at_touched(rows.assembled(times)) == 1)[entries.indices]
     size = np.where(private, abs(entries.data), 0.0)
-    last = np.lexsort((-entries.indices, size))  # the largest, and of equals the first, is written last
+    last = np.lexsort((-entries.indices, size))  # the largest is kept, of equals the first
     pivot = np.full(len(leader), NONE)
     pivot[row[last]] = np.where(private[last], entries.indices[last], NONE)
     lost = (pivot == NONE) & (np.diff(entries.indptr) > 0)
@@ -205,7 +205,7 @@ def _first_along_direction(entries: sp.csr_matrix) -> Indices:
         part = slice(entries.indptr[i], entries.indptr[i + 1])
         order = np.argsort(entries.indices[part])
         value = entries.data[part][order]
-        # The row over its largest entry; of one and its opposite the quotients are equal to the last digit.
+        # # The row over its largest entry; quotients of a row and its negative are equal to the last digit.
         scaled = value / value[np.argmax(abs(value))] if len(value) else value
         leader[i] = first.setdefault(entries.indices[part][order].tobytes() + scaled.tobytes(), i)
     return leader
@@ -215,9 +215,9 @@ def _first_along_direction(entries: sp.csr_matrix) -> Indices:
 NEWTON, TRUST_REGION = ("vinewtonrsls", "vinewtonssls"), ("tao-bntr",)
 METHODS = (*NEWTON, *TRUST_REGION)
 PREFIX = "contactqp_bounds_"
-# This method writes D_a + D_b B, which is not symmetric, over the matrix that it is given, in each step.
+# # This method overwrites the given matrix by D_a + D_b B, which is not symmetric, in each step.
 CHANGES_MATRIX = ("vinewtonssls",)
-# Options of the solvers of symmetric linear systems; UNSYMMETRIC has what they need otherwise.
+# # Options of the solvers of symmetric linear systems; UNSYMMETRIC has those of unsymmetric ones.
 SOLVERS: dict[str, dict[str, Any]] = {
     "mumps": {"ksp_type": "preonly", **MUMPS},
     "hypre": {"ksp_type": "cg", "pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
@@ -228,10 +228,10 @@ UNSYMMETRIC: dict[str, dict[str, Any]] = {
     "hypre": {"ksp_type": "gmres"},
     "asm": {"ksp_type": "gmres", "pc_type": "asm", "sub_pc_type": "ilu"},
 }
-# Linear systems are solved to INNER times the tolerance, and the problem to OUTER times: equilibrium is judged at each
-# unknown, their residual is a norm over all.
+# # Linear systems are solved to INNER times the tolerance, and the problem to OUTER times, as equilibrium is judged at
+# # each unknown but the residual of solvers is a norm over all.
 INNER, OUTER = 1e-2, 1e-3
-# SNES and TAO both end with this reason where the residual of a right answer is all rounding.
+# # SNES and TAO end with this reason if the residual of a right answer is rounding only.
 NO_DECREASE = -6
 STEPS, INNER_STEPS = 200, 10_000
 
@@ -239,8 +239,8 @@ STEPS, INNER_STEPS = 200, 10_000
 def solve_bounded(problem: DistributedProblem, method: str, solver: str, settings: Settings) -> Candidate:
     """Solve a problem by one of METHODS and return its candidate. Collective.
 
-    Raises Unsupported: a contact or tie that is no bound on an unknown of its own, friction, a solver that cannot
-    follow the sets; NoEquilibrium: bounds conflict; BackendFailed: PETSc or MUMPS gave up.
+    Raises Unsupported: a contact or tie that shares all its unknowns with other rows, friction, a solver that cannot
+    change its unknowns; NoEquilibrium: bounds conflict; BackendFailed: PETSc or MUMPS failed.
 
     Parameters
     ----------
@@ -258,14 +258,14 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
         ended = run(scaled, method, settings)
     ksp, reasons = ended.getKSP(), petsc().KSP.ConvergedReason
     if ksp.getConvergedReason() in (reasons.DIVERGED_PCSETUP_FAILED, reasons.DIVERGED_NANORINF):
-        refuse_failed_factors(ksp.getPC())  # CG in a trust region goes on with the infinities of failed factors
+        refuse_failed_factors(ksp.getPC())  # CG in a trust region would continue with the infinities of failed factors
     return scaled.candidate(int(ended.getIterationNumber()), int(ended.getConvergedReason()))
 
 
 def inner_solver(method: str, solver: str, dimension: int) -> str:
-    """Return the name of the solver of linear systems, where "auto" is resolved by the number of unknowns.
+    """Return the name of the solver of linear systems, with "auto" resolved by the number of unknowns.
 
-    Raises Unsupported: there is no such solver, or this PETSc was built without it.
+    Raises Unsupported: the solver does not exist, or this PETSc was built without it.
     """
     has = petsc().Sys.hasExternalPackage
     if solver == AUTO:
@@ -281,7 +281,7 @@ def inner_solver(method: str, solver: str, dimension: int) -> str:
 class _Scaled:
     """The problem min 1/2 y'By - b'y over lower <= y <= upper, with w = length D^-1/2 y and D the diagonal of T'KT.
 
-    The length makes b and the bounds 1 at most. Making this is collective, and so are its methods.
+    The length is chosen so that b and the bounds are at most 1. The constructor and all methods are collective.
     """
 
     def __init__(self, bounds: BoundUnknowns, warm_start: Candidate | None) -> None:
@@ -306,7 +306,7 @@ class _Scaled:
         start = np.zeros(len(load))
         if warm_start is not None:
             start = bounds.unknowns(warm_start.answer.displacement) / self._unit
-        self.y = self._vector(np.clip(start, self.lower.array, self.upper.array))  # the start, then the answer
+        self.y = self._vector(np.clip(start, self.lower.array, self.upper.array))  # start, later answer
 
     def _vector(self, values: Vector) -> Any:
         v = self.B.createVecRight()
@@ -316,7 +316,7 @@ class _Scaled:
     def candidate(self, steps: int, reason: int) -> Candidate:
         """Return PETSc's answer in the problem's unknowns.
 
-        Where PETSc ended at rounding it is claimed too; the certificate judges it.
+        An answer at which PETSc ended by rounding counts as converged; the certificate judges it.
         """
         claimed = reason > 0 or reason == NO_DECREASE
         bounds, w = self._bounds, self._unit * self.y.array
@@ -370,8 +370,8 @@ def _trust_region(problem: _Scaled, method: str, settings: Settings) -> Any:
 
 
 def _options(method: str, solver: str, settings: Settings) -> dict[str, Any]:
-    """Return our options of the method and of its linear solver; the tolerance of bounds is none, as they are met
-    exactly.
+    """Return the default options of the method and of its linear solver. Bounds are met exactly, so their tolerance is
+    zero.
     """
     inner = {"ksp_rtol": INNER * settings.tolerance, "ksp_max_it": INNER_STEPS, **SOLVERS[solver]}
     if method in CHANGES_MATRIX:

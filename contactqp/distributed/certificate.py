@@ -37,7 +37,7 @@ from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, GLOBALLY, Answer, Certificate, Violations
 
-# How near to each other the bounds of a minimum come: figures are read with a few digits.
+# # The relative distance of the bounds of a minimum at the end; figures need few digits only.
 NEAR = 1e-9
 MOST_QUERIES = 1000
 
@@ -45,10 +45,9 @@ MOST_QUERIES = 1000
 class CuttingPlanes:
     """Minimise the sum of sizes h(a) = sum_j |b_j'a| over w'a = 1 by Kelley's cutting planes (1960), from few sums.
 
-    The sums s = sum_j sign(b_j'a) b_j for some a give h(a) = s'a, and h(c) >= |s'c| for every other c. The least t with
-    t >= |s'c| for all s so far, a linear program of a few unknowns, is a lower bound of the minimum, and the sums at
-    its c are wanted next. With six unknowns and a hundred thousand summands about a hundred such queries bring the
-    bounds together.
+    The sums s = sum_j sign(b_j'a) b_j at a give h(a) = s'a, and h(c) >= |s'c| for every other c. The least t with
+    t >= |s'c| for all previous s, a linear program of a few unknowns, is a lower bound of the minimum, and its c is the
+    next query. With six unknowns and a hundred thousand summands about a hundred queries suffice.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ class CuttingPlanes:
     Attributes
     ----------
     best : (p,) array, the a with the least h(a) / |w'a| so far
-    done : bool, whether `best` is the minimum, to NEAR
+    done : bool, whether `best` is the minimum, up to NEAR
     """
 
     def __init__(self, weight: Vector) -> None:
@@ -70,11 +69,11 @@ class CuttingPlanes:
 
     @property
     def query(self) -> Vector:
-        """Return the a (p,) whose sums are wanted next."""
+        """Return the a (p,) at which sums are needed next."""
         return np.asarray(self._queries[0])
 
     def add_cut(self, sums: Vector) -> None:
-        """Take the sums (p,) at the query, and find the next query.
+        """Add the sums (p,) at the query, and find the next query.
 
         Raises NotConverged: the bounds did not come together.
         """
@@ -117,9 +116,11 @@ class CuttingPlanes:
 def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: Vector) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
-    The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of
-    w_j = z_j size_j on each rank, which together have the singular values of the whole w, and the sums that the search
-    for the worst motion asks for. A body that floats in a way that no known motion describes is taken for supported.
+    The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of w_j = z_j
+    size_j on each rank, which together have the singular values
+    of the whole w, and the sums for the search for the worst motion. A body whose rigid motion is no combination of
+    known
+    motions counts as supported.
 
     Parameters
     ----------
@@ -140,11 +141,11 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
     rounding = untouched(problem) & (size <= none)
     outer[rounding] = size[rounding] = 0.0
-    # K z is zero but for the rounding of K; what that makes of the displacement is no lack of balance.
+    # # K z is zero up to rounding of K, whose product with the displacement is no imbalance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
     spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
-    # Bodies without a load on which no force is more than nothing need not balance.
+    # # Bodies without load need no balance if all forces on them are negligible.
     heard = bodies.totals(((size > none) | (problem.load != 0)).astype(float)[:, None])
     at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0 and np.any(heard[i] > 0)]
     searches = {i: _WorstMotion(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
@@ -179,11 +180,11 @@ class _BodyColumns:
         return [np.linalg.svd(rows, full_matrices=False)[1:] for rows in stacked]
 
     def set_basis(self, weights: dict[int, Array]) -> None:
-        """Set the basis w weight' of the bodies that have their home here; weights are (p, r), p <= r."""
+        """Set the basis w weight' of the bodies with their home here; weights are (p, r), p <= r."""
         self.basis = self._combined(self._columns, weights, self._columns.shape[1])
 
     def sums_along(self, directions: dict[int, Vector]) -> Array:
-        """Return the sums (count, r) of sign(basis a) basis, for a direction a (p,) of each body at its home."""
+        """Return the sums (count, r) of sign(basis a) basis for a direction a (p,) of each body at its home."""
         along = self._combined(self.basis, {i: direction[None] for i, direction in directions.items()}, 1)
         return self._bodies.totals(np.sign(along) * self.basis)
 
@@ -196,7 +197,9 @@ class _BodyColumns:
 
 
 class _WorstMotion:
-    """The search for the motion of one body on which forces balance worst, at its home; `planes` while it goes on."""
+    """The search, at the home of a body, for its motion with the largest imbalance of forces; `planes` until it
+    ends.
+    """
 
     def __init__(self, found: Resultants) -> None:
         self.resultants, self.figure = found, 0.0
@@ -214,14 +217,14 @@ class _WorstMotion:
             self.planes = CuttingPlanes(self.resultants.work[self._seen])
 
     def direction(self) -> Vector:
-        """Return the coordinates (p,) of the motion whose sums are wanted; zero where none are."""
+        """Return the coordinates (p,) of the motion at which sums are needed, zero if none are."""
         direction = np.zeros(len(self.resultants.work))
         if self.planes is not None:
             direction[self._seen] = self.planes.query
         return direction
 
     def add_cut(self, sums: Vector) -> None:
-        """Take the sums (r,) along `direction`."""
+        """Add the sums (r,) along `direction`."""
         if self.planes is None:
             return
         direction = self.direction()
@@ -242,10 +245,10 @@ def certify_distributed(
     error_tolerance: float = 1e-6,
     bounds: Callable[[], Bounds] | None = None,
 ) -> Certificate:
-    """Judge anyone's answer, of which each rank has its part, as `contactqp.certify` judges it. Collective.
+    """Judge any answer, of which each rank has its part, as `contactqp.certify` does. Collective.
 
     The certificate is the same on all ranks, except that `violations` and `force_bound` are those of the rank's own
-    unknowns, contacts and ties; `grazing` are numbers of contacts as one process would have them.
+    unknowns, contacts and ties; `grazing` are numbers of contacts in one process.
 
     Parameters
     ----------
@@ -259,7 +262,7 @@ def certify_distributed(
     Raises
     ------
     InvalidProblem
-        Wrong shapes on any rank, or a tolerance that is not positive. NaN is no error here: it fails.
+        Wrong shapes on any rank, or a tolerance that is not positive. NaN raises no error, but fails.
     """
     refuse_not_positive("tolerance", tolerance)
     refuse_not_positive("error_tolerance", error_tolerance)
@@ -332,7 +335,7 @@ def _refuse_shapes(problem: DistributedProblem, answer: Answer) -> None:
 
 
 def _not_finite(problem: DistributedProblem, answer: Answer) -> list[str]:
-    """Return a message for each part of the answer that is not finite, of its first such unknown, contact or tie."""
+    """Return a message for each part of the answer that is not finite, with its first such unknown, contact or tie."""
     numbers = problem.dof_number, problem.contact_number, problem.contact_number, problem.tie_number
     texts = []
     for name, number in zip(ANSWER_PARTS, numbers, strict=True):
@@ -381,7 +384,7 @@ def _failed_force_bound(
 def _grazing(
     problem: DistributedProblem, answer: Answer, found: Violations, bounds: Bounds, tolerance: float
 ) -> tuple[tuple[int, ...], list[str]]:
-    """Return the numbers of the contacts of all ranks that graze, and the names of the first of them."""
+    """Return the numbers of the grazing contacts of all ranks, and the names of the first ones."""
     compliance = row_sizes(problem, problem.normal).compliance
     here = np.flatnonzero(grazes(answer, found, compliance, bounds, tolerance))
     numbers: Index = problem.contact_number[here]

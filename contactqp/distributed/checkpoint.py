@@ -1,8 +1,9 @@
 """Keep the steps of a load path on disk, so that an interrupted run can continue, on any number of ranks.
 
 A step is a folder with a file of each rank: the numbers that its unknowns, contacts and ties have in one process, and
-their values. It counts once the step's own file stands beside the folder; that is written last, when all ranks have
-written theirs. Every file is written whole or not at all.
+their values. It counts once the step's own file exists beside the folder, which is written last, after the files of all
+ranks. Every
+file is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from contactqp.exchange.files import write_whole
 from contactqp.model.arrays import Index
 from contactqp.model.solution import Answer
 
-# The format of the files; this code reads no other.
+# # The version of the file format; no other is read.
 FORMAT = 1
 CASE = "case.json"
 
@@ -32,7 +33,7 @@ CASE = "case.json"
 class Checkpoint:
     """A folder with the solved steps of one case. All methods are collective.
 
-    Raises InvalidProblem: the folder holds something else, or steps of another case.
+    Raises InvalidProblem: the folder contains other files, or steps of another case.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class Checkpoint:
 
     Attributes
     ----------
-    steps : int, the number of steps that are solved, the start included
+    steps : int, the number of solved steps, including the start
     """
 
     def __init__(self, folder: str | Path, digest: str, ranks: Ranks) -> None:
@@ -54,16 +55,16 @@ class Checkpoint:
             steps = 0
             while self._commit(steps).is_file():
                 steps += 1
-        # A file system of several machines may show a new file to one of them later.
+        # # On shared file systems a new file may appear on other machines later.
         self.steps = -int(ranks.max(-steps))
 
     def write(self, step: int, problem: DistributedProblem, answer: Answer) -> None:
-        """Write an answer; on return the files of all ranks are on the disk.
+        """Write an answer, and return when the files of all ranks are on the disk.
 
         Raises
         ------
         InvalidProblem
-            The file system of some rank refuses; the step does not count.
+            Writing fails on some rank; the step does not count.
         """
         ranks, here = self._ranks, self._part(step, self._ranks.rank, self._ranks.size)
         with ranks.raising_together(), _naming(here):
@@ -79,7 +80,7 @@ class Checkpoint:
                 _write_json(self._commit(step), {"format": FORMAT, "case": self._digest, "parts": ranks.size})
 
     def read(self, step: int, problem: DistributedProblem) -> Answer:
-        """Return this rank's part of an answer that any number of ranks has written.
+        """Return this rank's part of an answer written by any number of ranks.
 
         Raises
         ------
@@ -101,13 +102,13 @@ class Checkpoint:
                 values: Any = np.concatenate([part[name] for part in parts]) if parts else np.zeros(0)
             width = int(self._ranks.max(values.shape[1] if values.ndim == 2 else -1))
             if name == "friction_force" and width < 0:
-                continue  # the step has no friction
+                continue  # a step without friction
             values = values.reshape(len(numbers), width) if width >= 0 else values
             fields[name] = self._fetched(step, getattr(problem, numbered), numbers, values)
         return Answer(**fields)
 
     def _claim(self) -> None:
-        """Make the folder this case's, unless it is another's."""
+        """Mark the folder as this case's, unless it is another's."""
         self.folder.mkdir(parents=True, exist_ok=True)
         if (self.folder / CASE).is_file():
             self._checked(self.folder / CASE)
@@ -128,7 +129,7 @@ class Checkpoint:
     def _fetched(self, step: int, wanted: Index, numbers: Index, values: NDArray[Any]) -> NDArray[Any]:
         """Return the values of the wanted numbers, zero where negative; no rank holds all values.
 
-        The value of each number goes to rank number mod size, and is asked for there.
+        The value of each number is sent to rank number mod size, and requested from there.
         """
         ranks = self._ranks
         numbers, values = ranks.exchanged(numbers % ranks.size, numbers, values)
@@ -154,7 +155,7 @@ class Checkpoint:
         return self.folder / f"step-{step:06d}" / f"{rank}-of-{size}.npz"
 
 
-# Each field of an answer, and the field of the problem that numbers its rows.
+# # The fields of an answer, each with the field of the problem that contains the numbers of its rows.
 _NUMBERS = {
     "displacement": "dof_number",
     "normal_force": "contact_number",

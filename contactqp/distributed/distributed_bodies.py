@@ -1,4 +1,4 @@
-"""A scene of elastic bodies of which each rank has a piece, and what its claims ask of an answer."""
+"""Model a scene of elastic bodies of which each rank has a piece, with the quantities that claims evaluate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class DistributedBodyModel(ContactEntries):
     supports : tuple of Support, the supports of the scene
     load : (k d,) array, the load on own unknowns at full value, or at the end of the load path [force]
     loads : mapping of name to (k d,) array
-        Each load by itself, where a load path applies them one after another [force].
+        Each load separately, if a load path applies them one after another [force].
     """
 
     scene: SceneData
@@ -77,7 +77,7 @@ class DistributedBodyModel(ContactEntries):
 
     @cached_property
     def problem(self) -> DistributedProblem:
-        """Return the contact problem on the free unknowns; collective when it is first asked for."""
+        """Return the contact problem on the free unknowns; the first call is collective."""
         nodes = np.concatenate([np.zeros(0, dtype=np.int64), *[self._slaves(c.body, c.pairing) for c in self.contacts]])
         with stage(BUILD):
             return self.system.problem(
@@ -89,27 +89,27 @@ class DistributedBodyModel(ContactEntries):
             )
 
     def _slaves(self, body: str, pairing: Pairing) -> Index:
-        """Return the places in `surfaces` of the nodes of a pairing."""
+        """Return the indices in `surfaces` of the nodes of a pairing."""
         found = np.searchsorted(self.surfaces.numbers, self.surfaces.first(body) + pairing.nodes)
         return np.asarray(found, dtype=np.int64)
 
     @cached_property
     def free_contacts(self) -> FreeContacts:
-        """Return the contacts that a free unknown moves, the same on all ranks; collective when they are first asked
-        for.
-        """
+        """Return the contacts that a free unknown moves, the same on all ranks; the first call is collective."""
         pairings = [contact.pairing for contact in self.contacts]
         return free_contacts(pairings, self._prescribed, friction=self.row_friction, names=self.row_names)
 
     @cached_property
     def _prescribed(self) -> Vector:
-        """What supports prescribe to the unknowns of the surfaces, NaN where they are free; collective at first."""
+        """Return the prescribed displacements of the unknowns of the surfaces, NaN at free ones; the first call is
+        collective.
+        """
         d = self.system.dimension
         return np.asarray(self.surfaces.gathered(self.system.nodes, self.system.prescribed.reshape(-1, d)).ravel())
 
     @property
     def given(self) -> Vector:
-        """Return the displacements that supports prescribe to the unknowns of the surfaces, 0 where they are free."""
+        """Return the prescribed displacements of the unknowns of the surfaces, 0 at free ones."""
         return np.where(np.isnan(self._prescribed), 0.0, self._prescribed)
 
     @property
@@ -118,13 +118,17 @@ class DistributedBodyModel(ContactEntries):
         return self.free_contacts.kept
 
     def load_on_all(self, time: Fraction) -> Vector:
-        """Return the load (k d,) on own unknowns, constrained ones too, at a pseudo-time of the load path [force]."""
+        """Return the load (k d,) on own unknowns, including constrained ones, at a pseudo-time of the load path
+        [force].
+        """
         if not has_corners(self.scene):
             return float(time) * self.load
         return sum_of(self.loads, factors_at(self.scene, time), len(self.load))
 
     def load_at(self, time: Fraction) -> Vector:
-        """Return the right-hand side (n_here,) under that load; prescribed displacements stay. Collective at first."""
+        """Return the right-hand side (n_here,) under that load and full prescribed displacements; the first call is
+        collective.
+        """
         return self.system.right_side(self.load_on_all(time))
 
     def displacement(self, solution: DistributedSolution) -> Vector:
@@ -132,7 +136,7 @@ class DistributedBodyModel(ContactEntries):
         return solution.answer.displacement + self.system.support_displacement
 
     def velocity(self, _: Vector) -> Vector:
-        """Raise Unsupported: motions are followed by one process."""
+        """Raise Unsupported: motions are computed in one process only."""
         raise Unsupported("motions: expected elastic bodies at rest on many ranks")
 
     def node_at(self, body: str, point: ArrayLike) -> int:
@@ -165,13 +169,13 @@ class DistributedBodyModel(ContactEntries):
         return np.asarray(forces.reshape(self.surfaces.points.shape)[self.surfaces.of_body(contact.body)].sum(axis=0))
 
     def ranges(self, body: str, field: Vector) -> Vector:
-        """Return the lowest and the highest value (d, 2) of a field on own unknowns at a body's nodes. Collective."""
+        """Return the lowest and highest values (d, 2) of a field on own unknowns at a body's nodes. Collective."""
         values = field.reshape(-1, self.system.dimension)[self.system.own_nodes(body)]
         low, high = (self.ranks.max(np.max(sign * values, axis=0, initial=-np.inf)) for sign in (-1, 1))
         return np.stack([-low, high], axis=1)
 
     def free_motions(self, solution: DistributedSolution) -> Array:
-        """Return the directions (q, k d) of the solution's free motions on own unknowns; supports stand still."""
+        """Return the free motions (q, k d) of the solution on own unknowns, zero at supports."""
         return solution.motions.T.copy()
 
     def largest(self, rows: Array, i: int) -> tuple[Vector, int]:
@@ -209,7 +213,7 @@ class DistributedBodyModel(ContactEntries):
 
 
 def node_at(ranks: Ranks, body: Part, point: ArrayLike, what: str) -> int:
-    """Return the number of the node of a body at a point, whatever rank has it; as `nearest_node`. Collective.
+    """Return the number of the node of a body at a point on any rank, like `nearest_node`. Collective.
 
     Parameters
     ----------
@@ -237,7 +241,7 @@ def node_numbers_of(body: Part) -> Index:
 def distributed_model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
     """Make the model of a scene of bodies: pieces of meshes, supports, loads and contacts. Collective.
 
-    Shapes are made slab by slab. A mesh file is read by rank 0, which then has all of the mesh for a while.
+    Shapes are made slab by slab. A mesh file is read by rank 0, which holds the whole mesh temporarily.
 
     Raises SceneError: the scene is invalid; the message begins with the key and is the same on all ranks; Unsupported:
     membranes, motions, large deformations, a scene without bodies.
@@ -301,15 +305,16 @@ def _model(scene: SceneData, ranks: Ranks) -> DistributedBodyModel:
 def _source(scene: SceneData, ranks: Ranks, body: Body) -> Source:
     if body.shape is not None:
         return LatticeSource(ranks, lattice_of_shape(scene, body.shape))
-    assert body.mesh is not None  # a body has one of both
+    assert body.mesh is not None  # exactly one of both is given
     return FileSource(ranks, partial(mesh_of_file, scene, body.mesh))
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemInPieces:
-    """The problem of a distributed solution as tables and claims ask for it, in the numbers of one process.
+    """The problem of a distributed solution for tables and claims, with unknowns and contacts numbered as in one
+    process.
 
-    Properties that are gathered are collective when they are first asked for.
+    Properties that are gathered are collective at the first call.
     """
 
     part: DistributedProblem = field(repr=False)
@@ -336,7 +341,7 @@ class ProblemInPieces:
 
     @property
     def tangent(self) -> None:
-        """Return None: pictures of paths ask for it, and these paths have no friction."""
+        """Return None, since these paths have no friction; pictures of paths need the property."""
         return None
 
     @cached_property
@@ -362,7 +367,9 @@ class ProblemInPieces:
 
 @dataclass(frozen=True, eq=False)
 class SolutionInPieces:
-    """A distributed solution with the interface of `contactqp.Solution`, whose arrays are gathered when asked for."""
+    """A distributed solution with the interface of `contactqp.Solution`, whose arrays are gathered when they are
+    used.
+    """
 
     found: DistributedSolution
     problem: ProblemInPieces
@@ -389,7 +396,7 @@ def energies(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
 
 
 def gather(history: History) -> None:
-    """Gather all fields of a history that pictures and files use on every rank, so that one of them can write them."""
+    """Gather the fields of a history that pictures and files use on every rank, so that one rank can write them."""
     for solution in history:
         for name in ("displacement", "normal_force", "friction_force", "tie_force", "gap", "contact_status", "energy"):
             getattr(solution, name)

@@ -5,8 +5,8 @@
 3. Rows go to the ranks of their parts and get new numbers: the nodes of rank 0 first, then those of rank 1, ...
    (`problem_from_share`).
 
-The problem may be given to all ranks alike, or to the first alone. Then the others never have more of it than a share
-and a part, and nothing of the length of all unknowns.
+The problem may be given to all ranks or to the first alone. Then the others only store a share and a part, and no
+array of the length of all unknowns.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from contactqp.model.problem import ContactProblem, Units
 def partition_graph(ranks: Ranks, indptr: Index, indices: Index) -> Indices:
     """Return a rank for each vertex of this rank, for parts of equal size with few edges between them. Collective.
 
-    PETSc's partitioners do it (PTScotch, ParMETIS).
+    PETSc's partitioners (PTScotch, ParMETIS) are used.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def partition_graph(ranks: Ranks, indptr: Index, indices: Index) -> Indices:
         return np.zeros(count, dtype=np.intp)
     PETSc = petsc()
     row = np.repeat(np.arange(count), np.diff(indptr))
-    other = indices != row + ranks.offset(count)  # the partitioners take no loops
+    other = indices != row + ranks.offset(count)  # the partitioners do not accept loops
     ends = np.append(0, np.cumsum(np.bincount(row[other], minlength=count))).astype(PETSc.IntType)
     edges = indices[other].astype(PETSc.IntType)
     graph = PETSc.Mat().createAIJ(
@@ -63,9 +63,10 @@ def partition_graph(ranks: Ranks, indptr: Index, indices: Index) -> Indices:
 
 
 class Numbering:
-    """New numbers of the unknowns: the nodes of rank 0 first, then those of rank 1, ..., on each in their old order.
+    """New numbers of the unknowns: the nodes of rank 0 first, then those of rank 1, ..., each in their previous order.
 
-    A rank keeps the new numbers of the blocks of its share and asks other ranks for theirs. Making this is collective.
+    A rank stores the new numbers of the blocks of its share and requests others from their ranks. The constructor is
+    collective.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ class Numbering:
 
     Attributes
     ----------
-    owner : (blocks of the share,) array, the rank that each block goes to
+    owner : (blocks of the share,) array, the rank to which each block is sent
     """
 
     def __init__(self, ranks: Ranks, stiffness: Any, size: int) -> None:
@@ -84,7 +85,7 @@ class Numbering:
         indptr, indices = stiffness.indptr, stiffness.indices
         self.owner = partition_graph(ranks, indptr.astype(np.int64), indices.astype(np.int64))
         counts = np.bincount(self.owner, minlength=ranks.size)
-        every = ranks.gathered(counts[None, :])  # blocks that each share (row) has for each rank (column)
+        every = ranks.gathered(counts[None, :])  # number of blocks of each share (row) for each rank (column)
         self._first = ranks.offset(len(self.owner))
         self._share_ends = np.cumsum(every.sum(axis=1))
         self._ends = np.cumsum(every.sum(axis=0))
@@ -94,7 +95,7 @@ class Numbering:
         self._new[order] = np.repeat(before - (np.cumsum(counts) - counts), counts) + np.arange(len(order))
 
     def new_blocks(self, blocks: NDArray[Any]) -> Index:
-        """Return the new numbers of blocks, which may come in any order and repeat. Collective."""
+        """Return the new numbers of blocks, given in any order and with repetitions. Collective."""
         distinct, place = np.unique(blocks, return_inverse=True)
         owners = np.searchsorted(self._share_ends, distinct, side="right")
         (found,) = ask_ranks(self.ranks, owners, distinct, lambda asked, _: (self._new[asked - self._first],))
@@ -109,7 +110,7 @@ class Numbering:
         return np.asarray(np.searchsorted(self.size * self._ends, new, side="right"))
 
 
-# Blocks have one, two or three unknowns: shares that begin at multiples of all of them cut none.
+# # Blocks have one, two or three unknowns, so shares that begin at multiples of six cut none.
 _WHOLE_BLOCKS = 6
 
 
@@ -117,13 +118,13 @@ _WHOLE_BLOCKS = 6
 class ProblemRows:
     """All rows of a problem, or consecutive ones: K, E_N, E_T and A are CSR matrices over all unknowns.
 
-    Names and slip origins that a problem has not are arrays of no columns.
+    Missing names and slip origins are arrays without columns.
     """
 
     stiffness: Any
     load: Vector
     body: Index
-    motions: Array  # near_null_space, or the motions that nothing resists where there is none
+    motions: Array  # near_null_space, or without it the null space of K
     dof_names: NDArray[np.str_]  # (n_here, 1) or (n_here, 0)
     normal: Any
     gap: Vector
@@ -139,7 +140,7 @@ class ProblemRows:
 
 
 def rows_of_problem(problem: ContactProblem) -> ProblemRows:
-    """Return all rows of a problem; only names are copied."""
+    """Return all rows of a problem, copying names only."""
     n, m = problem.dimension, problem.contacts
     near, E_T, origin = problem.near_null_space, problem.tangent, problem.slip_origin
     return ProblemRows(
@@ -163,7 +164,7 @@ def rows_of_problem(problem: ContactProblem) -> ProblemRows:
 
 
 def _null_space(problem: ContactProblem) -> Array:
-    """Return the motions (n, r) that nothing resists, each body's from the first column on."""
+    """Return the null space (n, r) of K, each body's motions from the first column on."""
     motions = null_space(problem.stiffness_rows).motions
     of = bodies(problem)[np.argmax(abs(motions), axis=0)] if motions.size else np.zeros(0, dtype=np.intp)
     column = [int(np.sum(of[:i] == body)) for i, body in enumerate(of)]
@@ -178,17 +179,17 @@ def _names(names: Sequence[str] | None, count: int) -> NDArray[np.str_]:
 
 
 def distribute(problem: ContactProblem, ranks: Ranks) -> DistributedProblem:
-    """Return this rank's part of a problem that all ranks were given alike. Collective."""
+    """Return this rank's part of a problem that all ranks have. Collective."""
     return problem_from_share(ranks, _Sharing(ranks, from_first=False).share(rows_of_problem(problem)))
 
 
 def share_from_first_rank(whole: ProblemRows | None, ranks: Ranks) -> ProblemRows:
-    """Return this rank's equal share of a problem that the first rank alone has; the others give None. Collective."""
+    """Return this rank's equal share of a problem that only the first rank has; the others pass None. Collective."""
     return _Sharing(ranks, from_first=True).share(whole)
 
 
 class _Sharing:
-    """Equal shares of the rows of a problem that all ranks have, or the first alone. Everything is collective."""
+    """Equal shares of the rows of a problem that all ranks or only the first have. All methods are collective."""
 
     def __init__(self, ranks: Ranks, *, from_first: bool) -> None:
         self._ranks, self._from_first = ranks, from_first
@@ -207,16 +208,16 @@ class _Sharing:
         return ProblemRows(**fields)
 
     def _shared(self, value: Any) -> Any:
-        """Return a value of the whole problem, sent by the first rank where it alone has that."""
+        """Return a value of the whole problem, sent by the first rank if only this has it."""
         return self._ranks.broadcast(value) if self._from_first else value
 
     def _counts(self, count: int, step: int = 1) -> Indices:
-        """Return equal counts for all ranks, multiples of `step` except for the last one."""
+        """Return equal counts for all ranks, multiples of `step` except the last one."""
         steps = -(-count // step)
         return np.diff(np.minimum(step * (steps * np.arange(self._ranks.size + 1) // self._ranks.size), count))
 
     def _rows(self, counts: Indices, values: Any) -> NDArray[Any]:
-        """Return this rank's rows of an array, the first counts[0] of which are rank 0's, ..."""
+        """Return this rank's rows of an array whose first counts[0] rows belong to rank 0, ..."""
         if self._from_first:
             return self._ranks.scattered(counts, values)
         begin = int(counts[: self._ranks.rank].sum())
@@ -232,7 +233,7 @@ class _Sharing:
         return sp.csr_matrix((data, indices, np.append(0, np.cumsum(lengths))), shape=shape)
 
 
-# The fields of ProblemRows that are no matrices.
+# # The fields of ProblemRows that are not matrices.
 _FACTS = ("from_near_null_space", "units")
 _OF_UNKNOWNS = ("load", "body", "motions", "dof_names")
 _OF_TIES = ("tie_value", "tie_names")
@@ -293,9 +294,9 @@ def _numbers(ranks: Ranks, values: NDArray[Any]) -> Index:
 
 
 def _new_columns(rows: Any, numbering: Numbering) -> tuple[Index, Indices]:
-    """Return the new numbers of the entries' columns, and for each row the rank that has its first unknown."""
+    """Return the new column numbers of entries, and for each row the rank of its first unknown."""
     unknowns = numbering.new_unknowns(rows.indices)
-    owner = np.zeros(rows.shape[0], dtype=np.intp)  # a row of nothing may stand anywhere
+    owner = np.zeros(rows.shape[0], dtype=np.intp)  # rows without entries may be on any rank
     some = np.diff(rows.indptr) > 0
     owner[some] = numbering.owner_of(unknowns[rows.indptr[:-1][some]])
     return unknowns, owner
@@ -316,9 +317,9 @@ def _moved(ranks: Ranks, rows: Any, columns: Index, owner: Indices) -> Any:
 
 
 def _matrix(ranks: Ranks, K: Any, numbering: Numbering) -> Any:
-    """Make K in the new numbers from the rows (of blocks) of each rank's share."""
+    """Build K in the new numbers from the rows (of blocks) of each rank's share."""
     rows = sp.csr_matrix(_moved(ranks, K, numbering.new_blocks(K.indices), numbering.owner))
-    rows.eliminate_zeros()  # with which blocks were filled
+    rows.eliminate_zeros()  # by which blocks were filled
     rows = _with_diagonal(rows, ranks.offset(rows.shape[0]))
     K = block_matrix(ranks.comm, rows.tobsr((numbering.size, numbering.size)))
     K.setOption(petsc().Mat.Option.SYMMETRIC, True)
@@ -326,7 +327,7 @@ def _matrix(ranks: Ranks, K: Any, numbering: Numbering) -> Any:
 
 
 def _with_diagonal(rows: Any, first: int) -> Any:
-    """Store every diagonal entry, which PETSc requires, also where an unknown has no stiffness."""
+    """Store every diagonal entry, also of unknowns without stiffness, as PETSc requires."""
     rows.sort_indices()
     bare = np.flatnonzero(rows.diagonal(first) == 0) if rows.shape[0] else np.zeros(0, dtype=np.intp)
     if not bare.size:

@@ -1,10 +1,10 @@
-"""The `ContactIteration` over the ranks.
+"""Implement `ContactIteration` over the ranks.
 
-Products and preconditioners are PETSc's, sums are reductions. The projections of `contactqp.linalg.krylov` solve with
-the Gram matrix E D^-1 E' of the constrained rows: rows that share no unknown with others, nodes on rigid obstacles, are
-solved for one by one where they are. Where rows share unknowns on one rank alone, as the normal and the tangents of
-such a node may, the Gram matrix is factorised there. That of others is factorised on every rank, which needs all that
-constrained rows touch, a surface, on each.
+Products and preconditioners are PETSc's, and sums are reductions. The projections of `contactqp.linalg.krylov` solve
+with the Gram matrix E D^-1 E' of the constrained rows: rows that share no unknown with others, nodes on rigid
+obstacles, are solved one by one on their rank. If rows share
+unknowns on one rank only, as the normal and tangents of such a node may, the Gram matrix is factorised there. Otherwise
+it is factorised on every rank, which needs all unknowns touched by constrained rows, a surface, on each.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from contactqp.model.arrays import Array, Index, Indices, Mask, Vector
 
 
 class SeparateGram:
-    """The Gram matrix of rows that share no unknowns, which is diagonal; made from entries (a, t) and 1/K_jj (t,)."""
+    """The diagonal Gram matrix of rows that share no unknowns, from entries (a, t) and 1/K_jj (t,)."""
 
     def __init__(self, entries: sp.csr_matrix, compliance: Vector) -> None:
         own = entries.multiply(entries) @ compliance
@@ -41,7 +41,7 @@ class SeparateGram:
 
 
 class SharedGram:
-    """The Gram matrix of any rows, factorised on every rank. Making it and solving is collective.
+    """The Gram matrix of any rows, factorised on every rank. The constructor and `solve` are collective.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ Gram = SeparateGram | IndependentRows | SharedGram
 
 
 def gram_type(ranks: Ranks, rows: Rows) -> Callable[[sp.csr_matrix, Vector], Gram]:
-    """Return the cheapest type of Gram matrix that fits how rows share unknowns. Collective."""
+    """Return the cheapest type of Gram matrix that is correct for these rows. Collective."""
     times = _times_touched(rows)
     if not ranks.any(rows.assembled(times) > 1):
         return SeparateGram
@@ -87,7 +87,7 @@ def _times_touched(rows: Rows) -> Vector:
 
 
 class DistributedConstrainedRows:
-    """Projections of rows that are constrained to limits; everything here is collective.
+    """Projections with rows constrained to limits; all methods are collective.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class DistributedConstrainedRows:
         self._rows, self._limit, self._compliance, self._gram = rows, limit, compliance, gram
 
     def _moved(self, lengths: Vector) -> Vector:
-        """Return the displacement D^-1 E'l that causes these lengths."""
+        """Return the displacement D^-1 E'l with these lengths of rows."""
         return self._rows.assembled(self._compliance * (self._rows.entries.T @ self._gram.solve(lengths)))
 
     def close(self, x: Vector) -> None:
@@ -109,15 +109,15 @@ class DistributedConstrainedRows:
         x += self._moved(self._limit - self._rows.lengths(x))
 
     def admit(self, z: Vector) -> None:
-        """Remove from z what moves the rows, in place."""
+        """Project z onto the displacements with E z = 0, in place."""
         z -= self._moved(self._rows.lengths(z))
 
     def forces(self, r: Vector) -> Vector:
-        """Return the forces l (a,) that carry r best, zero on dependent rows."""
+        """Return the forces l (a,) that balance r best, zero on dependent rows."""
         return self._gram.solve(self._rows.entries @ (self._compliance * self._rows.at_touched(r)))
 
     def balanced(self, r: Vector) -> Vector:
-        """Return r - E'l, the part of r that forces on the rows do not carry."""
+        """Return r - E'l, the part of r not balanced by forces on the rows."""
         return np.asarray(r - self._rows.forces(self.forces(r)))
 
 
@@ -157,7 +157,7 @@ class DistributedIteration(ContactIteration):
         return self.rows.entries
 
     def of_rows(self, chosen: Indices) -> DistributedIteration:
-        """Return the same stiffness and preconditioner with some of the rows alone, all contacts first."""
+        """Return the same stiffness and preconditioner with only some of the rows, contacts first."""
         other = copy(self)
         other._set_rows(self.rows.with_entries(self.rows.entries[chosen]))
         other.floating = self.floating.with_rows(other.rows.lengths, other.own_compliance)
@@ -168,7 +168,7 @@ class DistributedIteration(ContactIteration):
         return self.rows.with_entries(entries).lengths(x)
 
     def forces_of(self, entries: sp.csr_matrix, force: Vector) -> Vector:
-        """Return what forces on other rows over the touched unknowns do to all unknowns."""
+        """Return the nodal forces of forces on other rows over the touched unknowns."""
         return self.rows.with_entries(entries).forces(force)
 
     def largest(self, values: Vector) -> Vector:
@@ -192,7 +192,7 @@ class DistributedIteration(ContactIteration):
         return int(self._ranks.sum(int(np.sum(flags))))
 
     def mark(self, flags: Mask) -> object:
-        """Return a number that is the same on all ranks, and the same for the same flags on all ranks."""
+        """Return a hash of the flags of all ranks, the same on all ranks."""
         return int(self._ranks.sum(hash((self._ranks.rank, flags.tobytes()))))
 
     @property
@@ -209,7 +209,7 @@ class DistributedIteration(ContactIteration):
         return self._problem.product(x)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """Return the sizes |K||x| of what K x adds up."""
+        """Return the sizes |K||x| of the terms of K x."""
         return self._problem.product_sizes(abs(x))
 
     def lengths(self, x: Vector) -> Vector:
@@ -217,15 +217,15 @@ class DistributedIteration(ContactIteration):
         return self.rows.lengths(x)
 
     def length_sizes(self, x: Vector) -> Vector:
-        """Return the sizes |E||x| of what E x adds up."""
+        """Return the sizes |E||x| of the terms of E x."""
         return self.rows.length_sizes(x)
 
     def forces(self, force: Vector) -> Vector:
-        """Return what contact and tie forces do to the unknowns, E'l."""
+        """Return the nodal forces E'l of contact and tie forces."""
         return self.rows.forces(force)
 
     def force_sizes(self, force: Vector) -> Vector:
-        """Return the sizes |E|'|l| of what E'l adds up."""
+        """Return the sizes |E|'|l| of the terms of E'l."""
         return self.rows.force_sizes(force)
 
     def force_measure(self, force: Vector, x: Vector, load: Vector) -> Vector:
@@ -235,23 +235,23 @@ class DistributedIteration(ContactIteration):
         return sizes_of(self.rows.entries).measure(force, self.rows.at_touched(meeting))
 
     def held(self, rows: Indices, limit: Vector) -> ConstrainedRows:
-        """Return the projections of some rows, constrained to limits."""
+        """Return the projections with some rows constrained to limits."""
         closed = np.isin(np.arange(self._problem.contacts), rows)
         return self.at_rest(self.constrained(self.rows.entries[rows], limit), closed)
 
     def constrained(self, entries: sp.csr_matrix, limit: Vector) -> DistributedConstrainedRows:
-        """Return the projections of rows over the touched unknowns, sums of rows of one contact each."""
+        """Return the projections with rows over the touched unknowns, each a sum of rows of one contact."""
         gram = self._gram(entries, self._compliance)
         return DistributedConstrainedRows(self.rows.with_entries(entries), limit, self._compliance, gram)
 
     def close(self, held: ConstrainedRows, x: Vector, residual: Vector) -> None:
-        """Move x onto the limits of constrained rows, and the residual with it, both in place."""
+        """Move x onto the limits of constrained rows and update the residual, both in place."""
         away = x.copy()
         held.close(x)
         residual -= self.product(x - away)
 
     def run(self, x: Vector, residual: Vector, rows: Indices, held: Projections) -> ConjugateGradients:
-        """Return conjugate gradients on the displacements that keep some rows.
+        """Return conjugate gradients on the displacements that do not move some rows.
 
         Parameters
         ----------
@@ -272,12 +272,12 @@ class DistributedIteration(ContactIteration):
         return ConjugateGradients(self.product, self._precondition, x, residual, self.floating, self.dot)
 
     def smooth(self, force: Vector) -> Vector:
-        """Return the displacement M r that the preconditioner makes of a residual."""
+        """Return the preconditioned residual M r."""
         return self._precondition(force)
 
 
 def stacked_rows(parts: list[Rows], like: Any) -> Rows:
-    """Put rows one below the other on every rank. Collective."""
+    """Stack rows on every rank. Collective."""
     columns = like.getSize()[1]
     entries = [
         sp.csr_matrix(
@@ -289,7 +289,7 @@ def stacked_rows(parts: list[Rows], like: Any) -> Rows:
 
 
 def floating_motions(problem: DistributedProblem, rows: Rows, compliance: Vector) -> FloatingMotions:
-    """Return the rigid motions of all bodies with the rows, whose E_i D^-1 E_i' is the compliance. Collective."""
+    """Return the rigid motions of all bodies, with rows whose E_i D^-1 E_i' is the compliance. Collective."""
     own = _motions(problem)
     return FloatingMotions(problem.ranks, problem.metric, own, problem.contacts, rows.lengths, compliance)
 

@@ -1,4 +1,6 @@
-"""The nodes of one rank's pieces: numbers and owners, connected bodies, surfaces and the distributed stiffness."""
+"""Number the nodes of one rank's pieces and find owners, connected bodies and surfaces; assemble the distributed
+stiffness.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +27,15 @@ from contactqp.model.arrays import Array, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The N nodes of one rank, body after body, those of each body as its piece has them; the rank owns k of them.
+    """The N nodes of one rank, body after body, each in the order of its piece; the rank owns k of them.
 
     Attributes
     ----------
     ranks : the processes
-    numbers : (N,) array of int, the numbers in the whole structure, body after body as one process has them
-    owners : (N,) array of int, the rank that owns each node
-    place : (N,) array of int, the place in PETSc's order: rank after rank, those of a rank by their numbers
-    first : the place of the first node that this rank owns
+    numbers : (N,) array of int, the numbers in the whole structure, as in one process owners : (N,) array of int, the
+    rank that owns each node
+    place : (N,) array of int, the index in PETSc's order: rank after rank, those of a rank by their numbers
+    first : the index of the first node that this rank owns
     """
 
     ranks: Ranks
@@ -53,7 +55,7 @@ class Nodes:
         return np.flatnonzero(self.owners != self.ranks.rank)
 
     def summed(self, values: Array) -> Array:
-        """Return the sums (k, c) at own nodes of the values (N, c) that each rank has at its nodes. Collective."""
+        """Return the sums (k, c) at own nodes of the values (N, c) at the nodes of each rank. Collective."""
         total = values[self.own]
         place, added = self.ranks.exchanged(self.owners[self.ghosts], self.place[self.ghosts], values[self.ghosts])
         np.add.at(total, place - self.first, added)
@@ -84,9 +86,9 @@ def number_nodes(ranks: Ranks, meshes: Sequence[MeshPiece]) -> Nodes:
 
 
 def connected_parts(nodes: Nodes, meeting: Any, free: Mask) -> Index:
-    """Return the number of the body, a connected part of K, that each own node belongs to. Collective.
+    """Return the number of the body, a connected part of K, of each own node. Collective.
 
-    Bodies are numbered in the order of their lowest nodes; the number of nodes that are not free is 0.
+    Bodies are numbered in the order of their lowest nodes. Nodes that are not free get 0.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ def connected_parts(nodes: Nodes, meeting: Any, free: Mask) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class ContactSurfaces:
-    """The surfaces that may touch, whole on every rank: t nodes in the order of their numbers, few beside all nodes.
+    """The surfaces that may touch, complete on every rank: t nodes in the order of their numbers.
 
     Their d t unknowns are numbered node by node.
 
@@ -133,9 +135,9 @@ class ContactSurfaces:
     structure : the pieces of this rank
     firsts : (bodies + 1,) array of int, the number of each body's first node in the whole structure
     numbers, place, owners : (t,) arrays of int
-        The number of each node in the whole structure, its place in PETSc's order, and the rank that owns it.
+        The number of each node in the whole structure, its index in PETSc's order, and its owner.
     points : (t, d) array, coordinates of the nodes [length]
-    facets : mapping of (body, side) to (p, k) array of int, the nodes of each facet, as places in `numbers`
+    facets : mapping of (body, side) to (p, k) array of int, the nodes of each facet, as indices in `numbers`
     """
 
     structure: Structure
@@ -156,7 +158,7 @@ class ContactSurfaces:
         return self.structure.body(name)
 
     def surface(self, body: str, side: str) -> Surface:
-        """Return a side of a body, numbered in the unknowns of these nodes."""
+        """Return a side of a body with the unknowns of these nodes."""
         part = self.structure.solid(body)
         unknowns = np.arange(self.size).reshape(self.points.shape)
         revolved = part.model == "axisymmetric"
@@ -173,12 +175,12 @@ class ContactSurfaces:
         return np.asarray((self.numbers >= first) & (self.numbers < first + total))
 
     def named(self, body: str, pairing: Pairing) -> Pairing:
-        """Return the pairing with its nodes as the body numbers them."""
+        """Return the pairing with the body's numbers of its nodes."""
         nodes, unpaired = (self.numbers[part] - self.first(body) for part in (pairing.nodes, pairing.unpaired))
         return replace(pairing, nodes=nodes, unpaired=unpaired)
 
     def gathered(self, nodes: Nodes, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values (t, ...) at these nodes on every rank, from those (k, ...) at own nodes. Collective."""
+        """Return the values (t, ...) at these nodes on every rank from those (k, ...) at own nodes. Collective."""
         mine = self.owners == nodes.ranks.rank
         found = nodes.ranks.gathered(values[self.place[mine] - nodes.first])
         where = nodes.ranks.gathered(np.flatnonzero(mine))
@@ -190,7 +192,7 @@ class ContactSurfaces:
 def gather_surfaces(structure: Structure, nodes: Nodes, sides: Sequence[tuple[str, str]]) -> ContactSurfaces:
     """Gather the sides of bodies on every rank. Collective.
 
-    Raises InvalidProblem: there is no such side, or it has no faces or several kinds of facet.
+    Raises InvalidProblem: a side does not exist, has no facets, or facets of several kinds.
     """
     ranks = nodes.ranks
     firsts = np.cumsum([0, *[body.mesh.total for body in structure.bodies]])
@@ -213,7 +215,7 @@ def gather_surfaces(structure: Structure, nodes: Nodes, sides: Sequence[tuple[st
 
 
 def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side: str) -> Index:
-    """Return the facets of a side on all ranks by the numbers of their nodes, in an order that no partition changes."""
+    """Return the facets of a side on all ranks by node numbers, in an order independent of the partition."""
     body = structure.solid(name)
     first = structure.first(name) // body.dimension
     found = body.mesh.side(side)
@@ -229,10 +231,10 @@ def _gathered(ranks: Ranks, structure: Structure, nodes: Nodes, name: str, side:
 
 
 def assemble_stiffness(bodies: Sequence[Body], nodes: Nodes) -> Any:
-    """Assemble K of all unknowns, constrained ones too, as PETSc.Mat with blocks of one node each. Collective.
+    """Assemble K of all unknowns, including constrained ones, as PETSc.Mat with one block per node. Collective.
 
-    `bodies` are this rank's pieces, in the order of `nodes`. Elements go in batch by batch, so that little memory is
-    needed beside that of K.
+    `bodies` are this rank's pieces, in the order of `nodes`. Elements are added in batches, to need little memory
+    besides that of K.
     """
     PETSc = petsc()
     d = bodies[0].dimension
@@ -266,7 +268,7 @@ def _add(K: Any, body: Body, part: Block, place: NDArray[Any]) -> None:
 
 
 def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
-    """Return how many nodes of this rank and of others each own node meets in elements of any rank."""
+    """Return how many nodes of this rank and of others each own node couples with in elements of any rank."""
     ranks, first, count = nodes.ranks, nodes.first, len(nodes.own)
     has = incidence(bodies)
     meeting = sp.csr_matrix(has @ has.T)
@@ -276,7 +278,7 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
     rows, columns = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
     touched = np.zeros(count, dtype=bool)
     touched[rows - first] = True
-    # Only rows that other ranks have a part in may get columns twice.
+    # # Only rows with contributions of other ranks may have repeated columns.
     mine = ~foreign
     mine[mine] = touched[place[mine] - first]
     pairs = np.stack([np.concatenate([rows, place[mine]]), np.concatenate([columns, other[mine]])])
@@ -289,7 +291,7 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
 
 
 def incidence(bodies: Sequence[Part]) -> Any:
-    """Return ones (nodes, elements) at the nodes that each element of this rank has, as CSR."""
+    """Return the incidence matrix (nodes, elements) of ones for this rank, as CSR."""
     element, node, first, elements = [], [], 0, 0
     for body in bodies:
         for block in body.mesh.blocks:

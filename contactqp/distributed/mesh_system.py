@@ -1,4 +1,4 @@
-"""The system K u = f of supported and loaded pieces, and the contact problem that it makes."""
+"""Assemble the system K u = f of supported and loaded pieces, and its contact problem."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from contactqp.model.problem import Units
 
 @dataclass(frozen=True, eq=False)
 class PieceSystem:
-    """The system of a structure, of which this rank has the k d unknowns of its own nodes.
+    """The system of a structure, with the k d unknowns of this rank's own nodes.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class PieceSystem:
 
     @cached_property
     def parts(self) -> StiffnessParts:
-        """Return K in the parts that the problem and its answers need; collective when they are first asked for."""
+        """Return K in the parts that the problem and its answers need; the first call is collective."""
         PETSc = petsc()
         K = assemble_stiffness([self.structure.solid(body.name) for body in self.structure.bodies], self.nodes)
         support_product = Product(K)(self.support_displacement)
@@ -68,7 +68,7 @@ class PieceSystem:
         diagonal = K.getDiagonal()
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         K.zeroRowsColumns((K.getOwnershipRange()[0] + constrained).astype(PETSc.IntType), diag=1.0)
-        K.setDiagonal(diagonal)  # a support's own stiffness is of the size of its neighbours'
+        K.setDiagonal(diagonal)  # diagonal of constrained unknowns, of the size of their neighbours'
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return StiffnessParts(K, support_product, constrained_rows)
 
@@ -89,7 +89,7 @@ class PieceSystem:
         return found
 
     def own_nodes(self, body: str, number: int | None = None) -> Index:
-        """Return the places among own nodes of those of a body, or of the one with a number in it."""
+        """Return the indices among own nodes of a body's nodes, or of the one with a given number."""
         mesh = self.structure.body(body).mesh
         if number is not None:
             return self.own_places(body, mesh.places(body, np.array([number])))
@@ -98,7 +98,7 @@ class PieceSystem:
         return np.asarray(self.nodes.place[mine] - self.nodes.first)
 
     def own_places(self, body: str, nodes: Index) -> Index:
-        """Return the places among own nodes of `nodes` of the piece of a body, which this rank owns."""
+        """Return the indices among own nodes of `nodes` of a body's piece, which this rank owns."""
         first = self.structure.first(body) // self.dimension
         return np.asarray(self.nodes.place[first + nodes] - self.nodes.first)
 
@@ -159,7 +159,7 @@ class PieceSystem:
         )
 
     def _motions(self) -> Vector:
-        """Return rigid motions about one centre for each body, on whatever ranks its nodes are; 0 where constrained."""
+        """Return rigid motions about one centre for each body across ranks, 0 at constrained unknowns."""
         parts, first = [], 0
         for body in self.structure.bodies:
             N = len(body.mesh.points)
@@ -178,7 +178,7 @@ class PieceSystem:
         return connected_parts(self.nodes, incidence(self.structure.bodies), self.nodes.with_ghosts(free))
 
     def _free_numbers(self) -> Index:
-        """Return the number of each own unknown among the free ones as one process has them; -1 where constrained."""
+        """Return the number of each own unknown among the free ones as in one process, -1 for constrained ones."""
         numbers = self.nodes.numbers[self.nodes.own]
         unknowns = (self.dimension * numbers[:, None] + np.arange(self.dimension)).ravel()
         found, free = np.full(len(unknowns), -1), ~self.constrained
@@ -197,11 +197,11 @@ class PieceSystem:
 
 @dataclass(frozen=True, eq=False)
 class StiffnessParts:
-    """K with decoupled constrained unknowns, and what their rows and columns were.
+    """K with decoupled constrained unknowns, and the rows and columns that were removed.
 
     Attributes
     ----------
-    free : PETSc.Mat, K with nothing but the diagonal in rows and columns of constrained unknowns
+    free : PETSc.Mat, K with only the diagonal in rows and columns of constrained unknowns
     support_product : (k d,) array, K u_prescribed on all own unknowns [force]
     constrained_rows : the rows of K of this rank's constrained unknowns
     """

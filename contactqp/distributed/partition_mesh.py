@@ -1,7 +1,7 @@
 """Partition meshes over ranks: equal shares of the elements, their neighbours, the cut of the graph, and each rank's
 elements as a mesh.
 
-Elements come from shapes, of which each rank makes a slab, and from files, which one rank reads and distributes.
+Elements come from shapes, of which each rank generates a slab, and from files, which one rank reads and distributes.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from contactqp.elements.reference_elements import REFERENCES, Block, Reference, 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index
 
-# Bit 0 of a facet's marks: it lies on the boundary of the whole mesh. Bit 1 + i: it belongs to side i.
+# # Bit 0 of a facet's marks is set on the boundary of the whole mesh, bit 1 + i on side i.
 OUTSIDE = 1
-# The bits of a 64-bit number beside bit 0 and its sign.
+# # The bits of a 64-bit number besides bit 0 and the sign.
 MOST_NAMES = 62
 
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """Elements of one kind that one rank has.
+    """Elements of one kind on one rank.
 
     Attributes
     ----------
     kind : the reference element
-    nodes : (E, n) array of int, codes of the nodes: whole numbers in the order of the node numbers of the whole mesh
-    marks : (E, facets) array of int, bits of each facet: OUTSIDE, and those of the sides
+    nodes : (E, n) array of int, codes of the nodes, integers in the order of the node numbers of the whole mesh marks :
+    (E, facets) array of int, bits of each facet: OUTSIDE, and those of the sides
     """
 
     kind: Reference
@@ -48,9 +48,9 @@ class Share:
 
 
 class LatticeSource:
-    """A shape, of which each rank makes a slab of each patch and nothing else.
+    """A shape, of which each rank generates a slab of each patch only.
 
-    As of a `FileSource`, all methods are collective.
+    All methods are collective, as those of `FileSource`.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class LatticeSource:
         return [Share(self.lattice.reference, codes, marks)]
 
     def marked(self, share: Share) -> Share:
-        """Return the share with the bits of the sides, once OUTSIDE is set."""
+        """Return the share, whose bits OUTSIDE are set, with the bits of the sides."""
         marks = share.marks.copy()
         element, facet = np.nonzero(marks & OUTSIDE)
         nodes = np.take_along_axis(share.nodes[element], np.array(share.kind.facets)[facet], axis=1)
@@ -90,7 +90,7 @@ class LatticeSource:
 
 
 class FileSource:
-    """A mesh that rank 0 alone reads and keeps until it is distributed, so that rank 0 needs memory for all of it.
+    """A mesh that rank 0 reads and keeps until it is distributed, so that rank 0 needs memory for the whole mesh.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class FileSource:
         return marks
 
     def marked(self, share: Share) -> Share:
-        """Return the share, which has all bits already."""
+        """Return the share unchanged, as it has all bits."""
         return share
 
     def nodes(self, codes: Index) -> tuple[Array, Index]:
@@ -151,13 +151,13 @@ class FileSource:
             return (np.zeros((0, self.dimension)) if mesh is None else mesh.points[asked]), bits[asked]
 
         points, members = ask_ranks(self.ranks, np.zeros(len(codes), dtype=np.int64), codes, found)
-        self._mesh = None  # all of it is distributed
+        self._mesh = None  # the whole mesh is distributed
         return points, members
 
 
 Source = LatticeSource | FileSource
 
-# Each rank shows so many of its codes, for the ranges of codes to become about equal.
+# # The number of samples of codes of each rank, by which ranges of about equal size are chosen.
 SAMPLES = 128
 
 
@@ -186,7 +186,7 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
         total = int(ranks.sum(len(distinct)))
         return ranks.offset(len(distinct)) + inverse, owner[inverse]
 
-    # Each rank numbers one range of codes; samples of all codes tell where to cut them into about equal ranges.
+    # # Each rank numbers one range of codes; samples of all codes give the limits of about equal ranges.
     shown = codes[np.linspace(0, len(codes) - 1, min(SAMPLES, len(codes))).astype(np.int64)]
     every = np.sort(ranks.gathered(shown))
     limits = every[len(every) * np.arange(1, ranks.size) // ranks.size]
@@ -194,12 +194,12 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
     return numbers, owners, total
 
 
-# An odd number with bits all over (the golden ratio's): it spreads facets evenly over the ranks.
+# # The multiplier of a hash (golden ratio), which distributes facets evenly over the ranks.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 
 def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> tuple[list[Share], Index, Index]:
-    """Find the elements that share a facet, on whatever ranks they are. Collective.
+    """Find the elements that share a facet, across ranks. Collective.
 
     Raises InvalidProblem: three elements share a facet: they overlap.
 
@@ -240,7 +240,7 @@ def neighbours(ranks: Ranks, shares: Sequence[Share], first: int) -> tuple[list[
 
 
 def _match(keys: Index, element: Index, other: Index) -> None:
-    """Write the element on the other side of each facet that two elements among these share."""
+    """Store the neighbouring element of each facet that two of these elements share."""
     order, new = groups(keys)
     start = np.flatnonzero(new)
     count = np.diff(np.append(start, len(order)))
@@ -269,17 +269,17 @@ def _on_other_rank(ranks: Ranks, keys: Index, element: Index) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class MeshPiece(Mesh):
-    """The elements of one rank as a mesh; it may have no elements, and sets may have no part here.
+    """The elements of one rank as a mesh, possibly without elements, and with sets that may be empty here.
 
-    The nodes that this rank owns come first, then those that others own; both in the order of their numbers. Facets
-    towards elements of other ranks are no boundary.
+    The nodes that this rank owns come first, then those of others, both in the order of their numbers. Facets towards
+    elements of other ranks are not boundary.
 
     Attributes
     ----------
     boundary : (p, 2) array of int, pairs (element, local facet) on the boundary of the whole mesh
     own : mapping of name to (k,) arrays of int
         The nodes that this rank owns of every set and side of the whole mesh, ascending.
-    faceless : tuple of str, node sets that hold no whole facet, on any rank
+    faceless : tuple of str, node sets that contain no whole facet on any rank
     numbers : (N,) array of int, the numbers of the nodes in the whole mesh
     owners : (N,) array of int, the rank that owns each node
     owned : the number of nodes that this rank owns
@@ -303,7 +303,7 @@ class MeshPiece(Mesh):
         return int(self.numbers[node])
 
     def places(self, what: str, numbers: Index) -> Index:
-        """Return those of the nodes with these numbers that this rank owns."""
+        """Return the nodes with these numbers that this rank owns."""
         wanted = super().places(what, numbers)
         return np.flatnonzero(np.isin(self.numbers[: self.owned], wanted))
 
@@ -314,7 +314,7 @@ class MeshPiece(Mesh):
         return self.own[name]
 
     def side(self, name: str) -> tuple[Block, ...]:
-        """Return the facets of a side on this rank; none where other ranks have them all."""
+        """Return the facets of a side on this rank, possibly none."""
         if name not in self.own:
             raise self._unknown(name)
         if name in self.faceless:
@@ -324,7 +324,7 @@ class MeshPiece(Mesh):
         return self.facets_within(self.node_sets[name]) if name in self.node_sets else ()
 
     def with_names(self, own: Mapping[str, Index], faceless: tuple[str, ...]) -> MeshPiece:
-        """Return the piece with `own` and `faceless`, which the ranks find together once they have their pieces."""
+        """Return the piece with `own` and `faceless`, which the ranks determine together after partitioning."""
         mesh = copy.copy(self)
         object.__setattr__(mesh, "own", own)
         object.__setattr__(mesh, "faceless", faceless)
@@ -336,7 +336,7 @@ class MeshPiece(Mesh):
 
 
 def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[MeshPiece]:
-    """Partition meshes together, so that all ranks have about as many elements, and return their pieces. Collective.
+    """Partition meshes together into equal numbers of elements for all ranks, and return the pieces. Collective.
 
     Raises InvalidProblem: a mesh is invalid, on any rank.
     """
@@ -397,7 +397,7 @@ def _piece(ranks: Ranks, source: Source, shares: list[Share]) -> MeshPiece:
 
 
 def _marked(marks: Sequence[Index], bit: int) -> Index:
-    """Return pairs (element, local facet) whose marks have a bit; elements are counted block after block."""
+    """Return pairs (element, local facet) whose marks have a bit; elements are numbered block after block."""
     found, first = [np.zeros((0, 2), dtype=np.int64)], 0
     for part in marks:
         pairs = np.argwhere(part & bit)
@@ -408,7 +408,7 @@ def _marked(marks: Sequence[Index], bit: int) -> Index:
 
 
 def _named(ranks: Ranks, source: Source, mesh: MeshPiece) -> MeshPiece:
-    """Return the piece with its own nodes of all sets and sides, and the sets that hold no facet on any rank."""
+    """Return the piece with its own nodes of all sets and sides, and the sets without a whole facet on any rank."""
     numbers, owners, owned = mesh.numbers, mesh.owners, mesh.owned
     bits = np.zeros(len(numbers), dtype=np.int64)
     for bit, name in enumerate(source.sides):

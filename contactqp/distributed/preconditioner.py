@@ -1,4 +1,6 @@
-"""Preconditioners M near the inverse of K: a V-cycle on our own levels, PETSc's multigrids, or a direct solver."""
+"""Preconditioners M that approximate the inverse of K: a V-cycle on own levels, PETSc's multigrids, or a direct
+solver.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +30,14 @@ from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Singula
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 from contactqp.model.arrays import Array, Vector
 
-# Unknowns of the coarsest level at most: its factor is dense, and on every rank.
+# # The most unknowns of the coarsest level, whose factor is dense and on every rank.
 LARGEST_DENSE = 6000
 
 
 class DistributedHierarchy:
     """Levels of a stiffness for the V-cycle of `contactqp.linalg.v_cycle`, with rows on them: E, E P, E P P, ...
 
-    Everything is collective.
+    All methods are collective.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ class DistributedHierarchy:
         self._coarse_unknowns = slice(*coarsest.getOwnershipRange())
 
     def cycle(self, entries: sp.csr_matrix) -> VCycle:
-        """Return M for K + E'CE; `entries` (a, t) are those of E on this rank."""
+        """Return M for K + E'CE; `entries` (a, t) are the rows of E on this rank."""
         strength = held_strength(np.asarray(entries.multiply(entries) @ self._compliance))
         held = sp.csr_matrix(sp.diags(strength) @ entries)
         levels = []
@@ -87,7 +89,7 @@ class DistributedHierarchy:
 
 
 class _HeldLevel(HeldLevel):
-    """A level with the stiffness of rows, C^1/2 E."""
+    """A level with constrained rows, C^1/2 E."""
 
     def __init__(self, level: DistributedLevel, added: Rows) -> None:
         self._level, self._added = level, added
@@ -133,27 +135,27 @@ def _whole(ranks: Ranks, matrix: Any) -> sp.csr_matrix:
     return sp.csr_matrix((ranks.gathered(values), columns, whole), shape=matrix.getSize())
 
 
-# Twice the memory that MUMPS expects to need, since its need depends on the order in which messages come.
+# # Twice the memory estimated by MUMPS, as its need depends on the order of messages.
 MUMPS: dict[str, Any] = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100}
-# The options of each solver; those that the user sets override them: -contactqp_pc_type, -contactqp_pc_gamg_...
+# # The default options of each solver; the user's override them: -contactqp_pc_type, -contactqp_pc_gamg_...
 SOLVERS: dict[str, dict[str, Any]] = {
     "gamg": smoothed_aggregation.OPTIONS,
     "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
     "mumps": MUMPS,
 }
-# PETSc's types that keep no reference to the matrix that they were made from; others may point into it.
+# # PETSc's types that keep no reference to the given matrix; others may point into it.
 INDEPENDENT = ("hypre", "cholesky")
-# Up to this many unknowns, in space, a factorisation takes no longer than a multigrid and is more accurate.
+# # Up to this many unknowns in space a factorisation is as fast as multigrid, and more accurate.
 AUTO, FACTORISED = "auto", 100_000
-# The diagonal of a body that floats is lifted by this part, little beside what any deformation costs, much beside
-# rounding.
+# # The relative increase of the diagonal of a floating body, small compared to any deformation's stiffness but large
+# # compared to rounding.
 LIFT = 1e-5
 
 
 def chosen_solver(solver: str, dimension: int) -> str:
-    """Return the name of a solver, where "auto" is resolved by the number of unknowns.
+    """Return the name of a solver, with "auto" resolved by the number of unknowns.
 
-    Raises Unsupported: there is no solver of that name.
+    Raises Unsupported: no solver has that name.
     """
     if solver == AUTO:
         return "mumps" if dimension <= FACTORISED and petsc().Sys.hasExternalPackage("mumps") else "gamg"
@@ -163,9 +165,9 @@ def chosen_solver(solver: str, dimension: int) -> str:
 
 
 class Preconditioner:
-    """The preconditioner M of one stiffness. Making and applying it is collective.
+    """The preconditioner M of one stiffness. The constructor and calls are collective.
 
-    Raises Unsupported: PETSc was built without the solver; BackendFailed: PETSc gave up: K is singular, or memory ran
+    Raises Unsupported: PETSc was built without the solver; BackendFailed: PETSc failed, as K is singular or memory ran
     out.
 
     Parameters
@@ -187,7 +189,7 @@ class Preconditioner:
             self._set_up(problem, rows, motions)
 
     def _set_up(self, problem: DistributedProblem, rows: Rows, motions: Array) -> None:
-        """Set up with the diagonal of floating bodies lifted in K itself, since a copy would take as much memory."""
+        """Set up with the diagonal of floating bodies increased in K itself, to avoid a copy."""
         if not problem.ranks.any(motions != 0):
             self._make(problem, rows, problem.metric)
             return
@@ -198,7 +200,7 @@ class Preconditioner:
         problem.stiffness.setDiagonal(lifted)
         try:
             self._make(problem, rows, np.array(lifted.array))
-        finally:  # where this solver fails another may be tried
+        finally:  # another solver may be tried if this one fails
             problem.stiffness.setDiagonal(diagonal)
 
     def _make(self, problem: DistributedProblem, rows: Rows, diagonal: Vector) -> None:
@@ -220,7 +222,7 @@ class Preconditioner:
             self._pc.setOperators(problem.stiffness)  # the copy in rows is dropped
 
     def __call__(self, r: Vector) -> Vector:
-        """Return the displacement M r that the preconditioner makes of a residual."""
+        """Return the preconditioned residual M r."""
         if self._hierarchy is not None:
             return np.where(self._constrained, 0.0, self._without_rows(r))
         self._from.array[:] = r
@@ -229,7 +231,7 @@ class Preconditioner:
         return np.where(self._constrained, 0.0, self._into.array)
 
     def with_rows(self, entries: sp.csr_matrix) -> Callable[[Vector], Vector]:
-        """Return M where rows with these entries (a, t) are constrained: on GAMG's levels that of K + E'CE."""
+        """Return M with constrained rows of these entries (a, t): on own levels that of K + E'CE."""
         if self._hierarchy is None:
             return self
         cycle = self._hierarchy.cycle(entries)
@@ -246,7 +248,7 @@ def failing_as_backend(name: str) -> Iterator[None]:
 
 
 def refuse_failed_factors(pc: Any) -> None:
-    """Raise BackendFailed where MUMPS has failed to factorise; PETSc would go on with infinities."""
+    """Raise BackendFailed if MUMPS failed to factorise; PETSc would continue with infinities."""
     if pc.getType() not in ("cholesky", "lu") or pc.getFactorSolverType() != "mumps":
         return
     if (code := pc.getFactorMatrix().getMumpsInfog(1)) < 0:

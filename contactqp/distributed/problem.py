@@ -1,4 +1,4 @@
-"""The part that one rank has of a contact problem, of its bodies and of its solution."""
+"""Define the part of a contact problem, its bodies and its solution that one rank has."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from contactqp.model.solution import Answer, Certificate, Work
 
 @dataclass
 class Computed:
-    """Results that all problems with the same stiffness and rows share; None or empty until they are asked for."""
+    """Results shared by all problems with the same stiffness and rows; None or empty until they are computed."""
 
     floating_bodies: Any = None  # FloatingBodies
-    iterations: dict[tuple[str, bool], Any] = field(default_factory=dict)  # by solver, and whether there is friction
+    iterations: dict[tuple[str, bool], Any] = field(default_factory=dict)  # by solver, and with or without friction
 
     def clear(self) -> None:
         """Forget all results."""
@@ -36,34 +36,35 @@ class Computed:
 class DistributedProblem:
     """The part that one rank has of min 1/2 u'Ku - f'u over E_N u <= g, A u = b, with Coulomb friction on E_T u.
 
-    Unknowns that supports constrain have rows in K with a positive diagonal and nothing else, so that nodes stay whole
-    blocks; there the load, the rows and u are zero.
+    Constrained unknowns keep rows in K with only a positive diagonal, so that nodes remain whole blocks; there the
+    load,
+    the rows and u are zero.
 
     Attributes
     ----------
     ranks : the processes
     stiffness : PETSc.Mat
-        K (n, n), in the blocks of its nodes, symmetric: MPIBAIJ, or MPIAIJ where nodes have one unknown.
+        K (n, n), symmetric, in blocks of nodes: MPIBAIJ, or MPIAIJ if nodes have one unknown.
     load : (n_here,) array, forces f on the unknowns of this rank [force]
     normal, tie : E_N (m_here, n) and A (k_here, n)
     gap, tie_value : (m_here,) and (k_here,) arrays, g and b [length]
-    constrained : (n_here,) array of bool, which unknowns supports constrain
+    constrained : (n_here,) array of bool, the unknowns constrained by supports
     body : (n_here,) array of int
-        The number of the body, a connected part of K, that each unknown belongs to; the same on all ranks.
+        The number of the body, a connected part of K, of each unknown; the same numbers on all ranks.
     near_null_space : (n_here, q) array, motions that cost a body little energy; zero at constrained unknowns
     dof_number, contact_number, tie_number : arrays of int
-        The place of each unknown, contact and tie in the ContactProblem of one process; -1 of constrained unknowns.
+        The index of each unknown, contact and tie in the ContactProblem of one process, -1 for constrained unknowns.
     tangent : E_T ((d-1) m_here, n), contact-major, on the rank of its contact
     friction : (m_here,) array, optional
         Coefficients of friction.
     slip_origin : (m_here, d-1) array, optional
-        E_T u where slip is zero [length].
+        E_T u at zero slip [length].
     rigid_motions : (n_here, r) array, optional
-        Motions that nothing resists where they are known, each body's from the first column on. A body that floats in
-        a way that is no combination of these and `near_null_space` is taken for supported.
+        The null space of K if known, each body's motions from the first column on. A body whose rigid motions are no
+        combinations of these and `near_null_space` counts as supported.
     units : the units of messages and tables
-    dof_name, contact_name, tie_name : functions, return the name in messages of a place on this rank
-    computed : results that `dataclasses.replace` hands on
+    dof_name, contact_name, tie_name : functions, return the name for messages of an index on this rank
+    computed : results that `dataclasses.replace` keeps
     """
 
     ranks: Ranks
@@ -101,7 +102,7 @@ class DistributedProblem:
 
     @cached_property
     def dimension(self) -> int:
-        """Return the number of unconstrained unknowns on all ranks; collective when it is first asked for."""
+        """Return the number of unconstrained unknowns on all ranks; the first call is collective."""
         return int(self.ranks.sum(int(np.sum(~self.constrained))))
 
     @property
@@ -116,9 +117,7 @@ class DistributedProblem:
 
     @cached_property
     def metric(self) -> Vector:
-        """Return D (n_here,): K_jj, or the largest K_jj where an unknown has no stiffness; collective when first asked
-        for.
-        """
+        """Return D (n_here,): K_jj, or the largest K_jj for unknowns without stiffness; the first call is collective."""
         largest = self.ranks.max(float(np.max(self.diagonal, initial=0.0))) or 1.0
         return np.where(self.diagonal > 0, self.diagonal, largest)
 
@@ -128,7 +127,7 @@ class DistributedProblem:
         return Product(self.stiffness)
 
     def product_sizes(self, x: Vector) -> Vector:
-        """Return |K| x (n_here,), made from a few rows of K at a time. Collective."""
+        """Return |K| x (n_here,), computed from a few rows of K at a time. Collective."""
         with stored_rows(self.stiffness) as stored:
             touched = stored.unknowns_of_others
             away = Rows(sp.csr_matrix((0, len(touched))), touched, self.stiffness).at_touched(x)
@@ -139,9 +138,9 @@ class DistributedProblem:
         return out
 
     def gathered(self, values: NDArray[Any], numbers: Index) -> NDArray[Any]:
-        """Return the values of all ranks in the order of their numbers; those with negative numbers are left out.
+        """Return the values of all ranks in the order of their numbers, without those of negative numbers.
 
-        ``problem.gathered(u, problem.dof_number)`` is the displacement as one process would have it. Collective.
+        ``problem.gathered(u, problem.dof_number)`` is the displacement as in one process. Collective.
         """
         free = numbers >= 0
         every, order = self.ranks.gathered(values[free]), self.ranks.gathered(numbers[free])
@@ -155,16 +154,16 @@ def _size_of(blocks: StoredBlocks, begin: int, end: int) -> sp.bsr_matrix:
 
 
 class Bodies:
-    """The bodies with unknowns on this rank, and those of which this rank is the home.
+    """The bodies with unknowns on this rank, and those with their home here.
 
-    Each body has one home, where the contributions of all ranks to it are put together. Making this is collective, and
-    so are `totals`, `at_homes`, `sums` and `from_homes`.
+    Each body has one home, where the contributions of all ranks are combined. The constructor, `totals`, `at_homes`,
+    `sums` and `from_homes` are collective.
 
     Attributes
     ----------
     numbers : (q,) array of int, the bodies with unknowns on this rank
-    index : (n_here,) array of int, the place in `numbers` of each unknown's body
-    count : int, the number of bodies that have their home here
+    index : (n_here,) array of int, the index in `numbers` of each unknown's body
+    count : int, the number of bodies with their home here
     """
 
     def __init__(self, ranks: Ranks, body: Index) -> None:
@@ -179,7 +178,7 @@ class Bodies:
         self.count = len(at_home)
 
     def members(self, place: int) -> Indices:
-        """Return the unknowns on this rank of the body at this place in `numbers`."""
+        """Return the unknowns on this rank of the body at this index of `numbers`."""
         return self._order[self._first[place] : self._first[place + 1]]
 
     def combined(self, columns: Array, weights: Array) -> Array:
@@ -196,7 +195,7 @@ class Bodies:
         return self.sums(np.column_stack(here))
 
     def at_homes(self, values: NDArray[Any]) -> tuple[NDArray[Any], Indices]:
-        """Return the values (q, ...) of all ranks at the homes, and for each the place, 0 to `count`, of its body."""
+        """Return the values (q, ...) of all ranks at the homes, and for each the index of its body below `count`."""
         (received,) = self._ranks.exchanged(self._home, values)
         return received, self._place
 
@@ -208,7 +207,7 @@ class Bodies:
         return total
 
     def from_homes(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return for the bodies on this rank the values (q, ...) that their homes have, (count, ...) each."""
+        """Return the values (q, ...) for the bodies on this rank from those at their homes, (count, ...) each."""
         (received,) = self._ranks.exchanged(self._from, values[self._place])
         found = np.empty_like(received)
         found[np.argsort(self._home, kind="stable")] = received
@@ -217,14 +216,14 @@ class Bodies:
 
 @dataclass(frozen=True, eq=False)
 class FloatingBodies:
-    """The motions z of all bodies with K z = 0 to rounding, side by side."""
+    """The motions z of all bodies with K z = 0 up to rounding, as columns."""
 
-    motions: Array  # (n_here, r) zero where a body has fewer than r, or is supported
+    motions: Array  # (n_here, r) zero columns for bodies with fewer than r, or supported ones
     floats: Mask  # (q,) whether each body on this rank floats
 
 
 def floating_bodies(problem: DistributedProblem, bodies: Bodies) -> FloatingBodies:
-    """Return the combinations of known motions whose energy is at most FLOATING times that of their diagonal.
+    """Return the combinations of known motions whose energy is at most FLOATING times that with the diagonal of K.
 
     They are computed once for a stiffness. Collective.
     """
@@ -240,7 +239,7 @@ def _find_floating(problem: DistributedProblem, bodies: Bodies) -> FloatingBodie
         known = np.hstack([known, problem.rigid_motions])
     B = of_size_one(known, problem.ranks.max)
     width = B.shape[1]
-    # What has no stiffness at all floats by itself, and any metric will do.
+    # # Unknowns without any stiffness float, with an arbitrary metric.
     metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
     forces = np.column_stack([problem.product(b) for b in B.T]) if width else B
     sizes = np.zeros((2, len(bodies.numbers), width, width))
@@ -259,7 +258,7 @@ def _find_floating(problem: DistributedProblem, bodies: Bodies) -> FloatingBodie
 
 
 def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement: Vector) -> Vector:
-    """Return the displacement (n_here,) less its rigid part, as `contactqp.linalg.measures` does. Collective."""
+    """Return the displacement (n_here,) without its rigid part, as in `contactqp.linalg.measures`. Collective."""
     floating = floating_bodies(problem, bodies)
     if not problem.ranks.any(floating.floats):
         return displacement
@@ -273,13 +272,13 @@ def without_rigid_part(problem: DistributedProblem, bodies: Bodies, displacement
 
 
 def largest_over_ranks(ranks: Ranks, *values: Vector) -> list[float]:
-    """Return the largest entry of each array on any rank: NaN where one is, 0 where there is none. Collective."""
+    """Return the largest entry of each array over all ranks, NaN if one is, 0 without entries. Collective."""
     here = np.array([[np.max(part, initial=0.0) for part in values]])
     return [float(value) for value in np.max(ranks.gathered(here), axis=0)]
 
 
 def message_of_largest(ranks: Ranks, values: Vector, numbers: Index, message: Callable[[int], str]) -> str:
-    """Find the largest value over all ranks, or NaN, and return the message of the rank that holds it. Collective.
+    """Find the largest value over all ranks, or NaN, and return the message of its rank. Collective.
 
     Parameters
     ----------
@@ -295,7 +294,7 @@ def message_of_largest(ranks: Ranks, values: Vector, numbers: Index, message: Ca
 
 
 def message_of_first(ranks: Ranks, flags: Mask, numbers: Index, message: Callable[[int], str]) -> str | None:
-    """Find the set flag with the lowest number, and return the message of the rank that holds it. Collective.
+    """Find the set flag with the lowest number, and return the message of its rank. Collective.
 
     Parameters
     ----------
@@ -315,7 +314,7 @@ def message_of_first(ranks: Ranks, flags: Mask, numbers: Index, message: Callabl
 
 
 def _message_of_best(ranks: Ranks, best: list[Any], message: Callable[[], str]) -> str | None:
-    """Return the message of the rank whose entry is the largest; each rank has one entry or none."""
+    """Return the message of the rank with the largest entry; each rank has at most one."""
     every = [(entry, -rank) for rank, entries in enumerate(ranks.comm.allgather(best)) for entry in entries]
     if not every:
         return None
@@ -328,18 +327,18 @@ def _message_of_best(ranks: Ranks, best: list[Any], message: Callable[[], str]) 
 class DistributedSolution:
     """Displacement and forces of one problem; `answer` is the part of this rank.
 
-    The fields of `contactqp.Solution` are gathered on every rank when they are first asked for, which is collective.
+    The fields of `contactqp.Solution` are gathered on every rank at their first use, which is collective.
     """
 
     problem: DistributedProblem = field(repr=False)
     answer: Answer = field(repr=False)
     status: NDArray[np.str_] = field(repr=False)  # (m_here,) of open, closed, grazing, stick, slip
-    certificate: Certificate  # the same on all ranks except for what it has contact by contact
+    certificate: Certificate  # the same on all ranks except arrays over contacts
     method: str
-    seconds: float  # to the certified answer, of the slowest rank
-    certify_seconds: float  # the part of these that the certificate took
+    seconds: float  # until the certified answer, of the slowest rank
+    certify_seconds: float  # the part of the certificate
     work: Work
-    motions: Array = field(repr=False)  # (n_here, q) that no load drives and no contact or tie resists
+    motions: Array = field(repr=False)  # (n_here, q) not driven by the load and not resisted by contacts or ties
 
     @cached_property
     def displacement(self) -> Vector:
@@ -353,7 +352,7 @@ class DistributedSolution:
 
     @cached_property
     def friction_force(self) -> Array | None:
-        """Return the friction forces (m, d-1); None without tangential rows."""
+        """Return the friction forces (m, d-1), None without tangential rows."""
         return None if self.answer.friction_force is None else self._of_contacts(self.answer.friction_force)
 
     @cached_property
@@ -373,7 +372,7 @@ class DistributedSolution:
 
     @cached_property
     def free_motions(self) -> tuple[Vector, ...]:
-        """Return the motions (n,) that no load drives and nothing resists; the largest component of each is one."""
+        """Return the rigid motions (n,) with no drive and no resistance, with largest component one."""
         every = [self.problem.gathered(motion, self.problem.dof_number) for motion in self.motions.T]
         return tuple(motion / motion[np.argmax(abs(motion))] for motion in every)
 

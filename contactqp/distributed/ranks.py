@@ -1,6 +1,6 @@
-"""PETSc and MPI: loaded where they are installed, PETSc's options and matrices, and the processes (ranks) of one run.
+"""Load PETSc and MPI, set PETSc's options, make its matrices, and exchange data between the processes (ranks) of a run.
 
-Ranks have sums, messages of any size, requests to other ranks, and errors that all of them share.
+`Ranks` has sums, messages of any size, requests to other ranks, and errors raised on all ranks.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RECIPE = (
     "apt-get install python3-petsc4py python3-mpi4py python3-venv && /usr/bin/python3 -m venv --system-site-packages "
     "petsc && petsc/bin/pip install 'numpy<2' '.[solids]'"
 )
-# Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, on no path of that Python.
+# # Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, not on the path of that Python.
 _PREFIX = "/usr"
 _DEBIAN = "/usr/lib/petscdir/petsc*/*-real/lib/python3/dist-packages"
 
@@ -37,8 +37,8 @@ _DEBIAN = "/usr/lib/petscdir/petsc*/*-real/lib/python3/dist-packages"
 def petsc() -> Any:
     """Start MPI and return the module petsc4py.PETSc.
 
-    PETSc takes options from the variable PETSC_OPTIONS and none from the command line, which belongs to the program.
-    Its errors are raised as PETSc.Error.
+    PETSc reads options from the variable PETSC_OPTIONS, not from the command line, which belongs to the program. Its
+    errors are raised as PETSc.Error.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def petsc() -> Any:
     if names := missing():
         raise BackendMissing(f"{' and '.join(names)} not installed: {RECIPE}")
     try:
-        importlib.import_module("mpi4py.MPI")  # starts MPI, and ends it with the process
+        importlib.import_module("mpi4py.MPI")  # initialises MPI, and finalises it with the process
         importlib.import_module("petsc4py").init([])
         PETSc = importlib.import_module("petsc4py.PETSc")
     except (ImportError, ValueError) as error:  # ValueError: it was built for the arrays of another NumPy
@@ -61,19 +61,19 @@ def petsc() -> Any:
 
 
 def missing() -> list[str]:
-    """Return which of petsc4py and mpi4py are not installed; neither is loaded for that."""
+    """Return which of petsc4py and mpi4py are not installed, without loading them."""
     # Debian's petsc4py is put on the path of the Python that it was built for, unless PETSC_DIR names another PETSc.
     if importlib.util.find_spec("petsc4py") is None and sys.base_prefix == _PREFIX and "PETSC_DIR" not in os.environ:
         sys.path += sorted(glob.glob(_DEBIAN))[-1:]
     return [name for name in ("petsc4py", "mpi4py") if importlib.util.find_spec(name) is None]
 
 
-# Matrices: a product in blocks of three reads one column number for nine values and takes about half of the time, but
-# PETSc's multigrids and factorisations take single rows alone.
+# # Matrices in blocks of three have one column number for nine values, so that products take half the time; but PETSc's
+# # multigrids and factorisations accept only single rows.
 
 
 def block_matrix(comm: Any, rows: sp.bsr_matrix) -> Any:
-    """Make a PETSc.Mat of the rows of each rank over the unknowns of all ranks. Collective.
+    """Make a PETSc.Mat from the rows of each rank over the unknowns of all ranks. Collective.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def aij_copy(matrix: Any) -> Any:
 
 
 def block_type(size: int) -> str:
-    """Return PETSc's name of the matrix type that holds blocks of `size` unknowns."""
+    """Return PETSc's name of the matrix type with blocks of `size` unknowns."""
     Type = petsc().Mat.Type
     return str(Type.BAIJ if size > 1 else Type.AIJ)
 
@@ -124,7 +124,7 @@ PREFIX = "contactqp_"
 
 @contextmanager
 def temporary_options(prefix: str, defaults: dict[str, Any]) -> Iterator[None]:
-    """Set PETSc's options of this prefix while the context lasts, except those that the user has set."""
+    """Set PETSc's options of this prefix within the context, except those set by the user."""
     options = petsc().Options(prefix)
     added = {name: value for name, value in defaults.items() if not options.hasName(name)}
     for name, value in added.items():
@@ -137,30 +137,29 @@ def temporary_options(prefix: str, defaults: dict[str, Any]) -> Iterator[None]:
 
 
 def release_free_memory() -> None:
-    """Return free memory between blocks in use to the system, which glibc itself does at the end of its heap alone.
+    """Return free memory between used blocks to the system, which glibc does by itself only at the end of its heap.
 
-    A stiffness lasts and is made after a mesh, which does not, so that it would add to the mesh's memory. With another
-    C library nothing happens.
+    A mesh is freed after the stiffness is assembled, so that its memory would lie below that of the stiffness. Other C
+    libraries are left alone.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # CDLL(None) searches what this process has loaded
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # CDLL(None) searches all libraries of this process
     if trim is not None:
         trim(0)
 
 
 def collect_garbage(comm: Any) -> None:
-    """Destroy the PETSc objects that Python has dropped on all ranks. Collective.
+    """Destroy the PETSc objects that Python has released on all ranks. Collective.
 
-    PETSc itself would keep every dropped vector and scatter, and each solution makes some.
+    PETSc would keep all released vectors and scatters, some for each solution.
     """
     cleanup = getattr(petsc(), "garbage_cleanup", None)  # PETSc before 3.18 destroys at once
     if cleanup is not None:
         cleanup(comm)
 
 
-# Arrays go from rank to rank as the bytes that they are, in messages of a size that MPI can count: it counts in 32
-# bits, and some of its transports count bytes.
+# # Arrays are sent as bytes, in messages small enough for MPI's 32-bit counts; some transports count bytes.
 MOST_BYTES = 2**30
-# Marks arrays of Python objects, which are no plain bytes.
+# # Marks arrays of Python objects, which cannot be sent as bytes.
 _OBJECTS = -1
 
 T = TypeVar("T")
@@ -169,7 +168,7 @@ T = TypeVar("T")
 class Ranks:
     """A communicator of mpi4py.
 
-    All methods are collective and return the same on all ranks, unless they say otherwise.
+    All methods are collective and return the same on all ranks, unless stated otherwise.
 
     Parameters
     ----------
@@ -186,11 +185,11 @@ class Ranks:
         self.rank, self.size = int(self.comm.rank), int(self.comm.size)
 
     def sum(self, value: Any) -> Any:
-        """Return the sum over the ranks of a number, or of an array of one shape on all of them."""
+        """Return the sum over the ranks of a number, or of arrays of equal shape."""
         return self._reduced(value, self._MPI.SUM)
 
     def max(self, value: Any) -> Any:
-        """Return the largest over the ranks of a number, or of an array entry by entry."""
+        """Return the maximum over the ranks of a number, or of an array entry by entry."""
         return self._reduced(value, self._MPI.MAX)
 
     def _reduced(self, value: Any, operation: Any) -> Any:
@@ -209,23 +208,23 @@ class Ranks:
         return float(self.comm.allreduce(float(a @ b), self._MPI.SUM))
 
     def offset(self, count: int) -> int:
-        """Return how many items the ranks before this one have, where this rank has `count`."""
+        """Return how many items the ranks before this one have; this rank has `count`."""
         return int(self.comm.scan(int(count), self._MPI.SUM)) - int(count)
 
     def gathered(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the arrays of all ranks, one after the other; they should be small."""
+        """Return the concatenated arrays of all ranks, which should be small."""
         return np.concatenate(self.comm.allgather(np.asarray(values)))
 
     def exchanged(self, destination: Indices, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-        """Send row i of each array to rank destination[i]; return the rows received, in the order of their senders."""
+        """Send row i of each array to rank destination[i]; return the received rows in the order of their senders."""
         order = np.argsort(destination, kind="stable")
         return self.sent(np.bincount(destination, minlength=self.size), *(np.asarray(array)[order] for array in arrays))
 
     def sent(self, counts: NDArray[Any], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Send the first counts[0] rows of each array to rank 0, the next counts[1] to rank 1, ...
 
-        Returns the rows received, in the order of their senders. Arrays of objects, and those whose rows are not of one
-        type on all ranks (text is as wide as its longest, and an empty array may be of any type), are pickled.
+        Returns the received rows in the order of their senders. Arrays of objects, and arrays whose row types differ
+        between ranks (such as widths of text, or empty arrays), are pickled.
         """
         header = np.empty((self.size, 3), dtype=np.int64)
         largest = int(np.max(counts, initial=0)) * max((_row_bytes(array) for array in arrays), default=0)
@@ -255,9 +254,9 @@ class Ranks:
         return tuple(np.concatenate([part[i] for part in received]) for i in range(len(arrays)))
 
     def scattered(self, counts: NDArray[Any], values: NDArray[Any] | None) -> NDArray[Any]:
-        """Return this rank's rows of an array that the first rank alone has; the other ranks give None.
+        """Return this rank's rows of an array that only the first rank has; the others pass None.
 
-        The first counts[0] rows stay, the next counts[1] go to rank 1, ... Nothing is copied but the part of each rank.
+        The first counts[0] rows stay, the next counts[1] go to rank 1, ... Only the part of each rank is copied.
         """
         dtype, shape = self.broadcast(None if values is None else (values.dtype, values.shape[1:]))
         rows = np.empty((0, *shape), dtype=dtype) if values is None else values
@@ -268,16 +267,16 @@ class Ranks:
         return self.comm.bcast(value)
 
     def on_first_rank(self, action: Callable[[], T]) -> T | None:
-        """Call a function on the first rank alone and return its result there, None on the others.
+        """Call a function on the first rank only and return its result there, None on the others.
 
-        A ContactQPError of it is raised on all ranks.
+        Its ContactQPError is raised on all ranks.
         """
         with self.raising_together(name_rank=False):
             return action() if self.rank == 0 else None
 
     @contextmanager
     def raising_together(self, *, name_rank: bool = True) -> Iterator[None]:
-        """Raise the ContactQPError of one rank on all; nothing collective may stand inside the context.
+        """Raise the ContactQPError of one rank on all ranks. The context must contain no collective call.
 
         With `name_rank` the message names the first rank that raised it, unless all did.
         """
@@ -295,7 +294,7 @@ class Ranks:
 
 
 def _row_types(arrays: Sequence[NDArray[Any]]) -> int:
-    """Return a number that is the same on two ranks where the rows of all arrays are of the same types."""
+    """Return a hash of the row types of all arrays."""
     if any(array.dtype.hasobject for array in arrays):
         return _OBJECTS
     return zlib.crc32(repr([(array.dtype.str, array.shape[1:]) for array in arrays]).encode())
@@ -306,19 +305,19 @@ def _row_bytes(array: NDArray[Any]) -> int:
 
 
 def _rounds(largest: int) -> int:
-    """Return how many messages the longest one is cut into."""
+    """Return the number of messages for the longest array."""
     return -(-largest // MOST_BYTES)
 
 
 def _slices(rounds: int, counts: NDArray[Any]) -> Iterator[tuple[NDArray[Any], NDArray[Any]]]:
-    """Yield the first row of each round and the one after its last; both ends of a message cut it alike."""
+    """Yield the first row of each round and the one after its last, the same for sender and receiver."""
     for i in range(rounds):
         yield counts * i // rounds, counts * (i + 1) // rounds
 
 
 @contextmanager
 def _row_type(array: NDArray[Any]) -> Iterator[Any]:
-    """Make MPI's type of one row, so that MPI counts rows."""
+    """Return MPI's type of one row, so that MPI counts rows."""
     from mpi4py import MPI
 
     row = MPI.BYTE.Create_contiguous(_row_bytes(array)).Commit()
@@ -336,7 +335,7 @@ Reply = Callable[[NDArray[Any], Index], tuple[NDArray[Any], ...]]
 
 
 def ask_ranks(ranks: Ranks, owners: NDArray[Any], requests: NDArray[Any], reply: Reply) -> tuple[NDArray[Any], ...]:
-    """Send row i of the requests to rank owners[i] and return the replies row for row. Collective.
+    """Send row i of the requests to rank owners[i] and return the replies row by row. Collective.
 
     Parameters
     ----------
@@ -356,7 +355,7 @@ def ask_ranks(ranks: Ranks, owners: NDArray[Any], requests: NDArray[Any], reply:
 
 
 def entries_of_rows(indptr: Index, rows: Index) -> tuple[Index, Index]:
-    """Return the places of the entries of some rows of a CSR matrix, row after row, and their number in each row."""
+    """Return the indices of the entries of some rows of a CSR matrix, row after row, and their number in each row."""
     counts = np.diff(indptr)[rows]
     return np.repeat(indptr[rows] - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum()), counts
 
@@ -364,7 +363,7 @@ def entries_of_rows(indptr: Index, rows: Index) -> tuple[Index, Index]:
 def rows_of_other_ranks(
     ranks: Ranks, starts: Index, wanted: Index, rows: Any, columns: Index | None = None
 ) -> tuple[Index, Index, Vector]:
-    """Fetch rows of a distributed matrix from the ranks that have them. Collective.
+    """Fetch rows of a distributed matrix from their ranks. Collective.
 
     Parameters
     ----------

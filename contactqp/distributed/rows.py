@@ -1,4 +1,4 @@
-"""Constraint rows E over the unknowns of all ranks, and the rows of a matrix where PETSc stores them."""
+"""Constraint rows E over the unknowns of all ranks, and access to the rows of a matrix in PETSc's memory."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from contactqp.model.arrays import Array, Index, Indices, Vector
 
 
 class Rows:
-    """The rows of one rank, a of them; the unknowns that they touch may belong to other ranks.
+    """The a rows of one rank, which may touch unknowns of other ranks.
 
-    Making them is collective, and so are all methods but `with_entries`.
+    The constructor and all methods except `with_entries` are collective.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Rows:
     def from_csr(cls, rows: Any, like: Any, numbers: Index | None = None) -> Rows:
         """Make rows from CSR rows of this rank over the unknowns of all ranks. Collective.
 
-        With `numbers`, column j of the CSR rows stands for the unknown numbers[j].
+        With `numbers`, column j of the CSR rows is the unknown numbers[j].
         """
         touched, place = np.unique(rows.indices, return_inverse=True)
         entries = sp.csr_matrix((rows.data, place.ravel(), rows.indptr), (len(rows.indptr) - 1, len(touched)))
@@ -65,17 +65,17 @@ class Rows:
 
     @cached_property
     def sizes(self) -> sp.csr_matrix:
-        """Return the entries (a, t) without their signs, |E|."""
+        """Return |E| (a, t)."""
         return abs(self.entries)
 
     def at_touched(self, x: Vector) -> Vector:
-        """Return the values (t,) of a distributed vector at the unknowns that the rows of this rank touch."""
+        """Return the values (t,) of a distributed vector at the unknowns touched by the rows of this rank."""
         self._everywhere.array[:] = x
         self._scatter.scatter(self._everywhere, self._here, addv=False, mode="forward")
         return np.array(self._here.array)
 
     def assembled(self, values: Vector) -> Vector:
-        """Return the distributed vector that sums the values (t,) of all ranks at the unknowns that they touch."""
+        """Return the distributed vector of the sums of values (t,) of all ranks at touched unknowns."""
         self._here.array[:] = values
         self._everywhere.set(0.0)
         self._scatter.scatter(self._here, self._everywhere, addv=True, mode="reverse")
@@ -98,16 +98,17 @@ class Rows:
         return self.assembled(self.sizes.T @ abs(force))
 
 
-# The rows of a matrix are read where PETSc stores them, since a copy would take as much memory as the matrix. petsc4py
-# shows entries in copies only; the C functions of the library that it has loaded return their addresses.
+# # The rows of a matrix are read in PETSc's memory, as a copy would be as large as the matrix. petsc4py returns entries
+# as
+# # copies only, but the C functions of its library return their addresses.
 
-# Rows of blocks that are copied at a time: about 0.01 GB with the eighty entries a row of bodies in space.
+# # Rows of blocks copied at a time: about 0.01 GB with the eighty entries per row of bodies in space.
 AT_A_TIME = 2**12
 
 
 @dataclass(frozen=True, eq=False)
 class StoredBlocks:
-    """Blocks in compressed rows, in the memory where PETSc stores them."""
+    """Blocks in compressed rows, in PETSc's memory."""
 
     indptr: NDArray[Any]
     indices: NDArray[Any]
@@ -132,7 +133,7 @@ class StoredBlocks:
 
 @dataclass(frozen=True, eq=False)
 class StoredRows:
-    """The rows of a distributed matrix on this rank, split by the rank that their columns belong to.
+    """The rows of a distributed matrix on this rank, split by the rank of their columns.
 
     Attributes
     ----------
@@ -150,7 +151,7 @@ class StoredRows:
     others: NDArray[Any]
 
     def parts(self) -> Iterator[tuple[int, int]]:
-        """Yield ranges (begin, end) of rows of blocks that are small enough to be copied."""
+        """Yield ranges (begin, end) of rows of blocks small enough to be copied."""
         count = len(self.here.indptr) - 1
         for begin in range(0, count, AT_A_TIME):
             yield begin, min(begin + AT_A_TIME, count)
@@ -163,9 +164,9 @@ class StoredRows:
 
 @contextmanager
 def stored_rows(matrix: Any) -> Iterator[StoredRows]:
-    """Open the rows of this rank; while the context lasts the matrix must not be changed. Not collective.
+    """Open the rows of this rank; the matrix must not be changed within the context. Not collective.
 
-    Raises Unsupported: the matrix is of another type.
+    Raises Unsupported: the matrix has another type.
 
     Parameters
     ----------
@@ -209,7 +210,7 @@ def chosen_rows(matrix: Any, chosen: Indices) -> sp.csr_matrix:
 
 
 def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, columns: int) -> StoredBlocks:
-    """Return the blocks of a matrix of one process; PETSc gets them back when the stack closes."""
+    """Return the blocks of a matrix of one process, which are returned to PETSc when the stack closes."""
     PETSc = petsc()
     rows, begins, numbers = _integer(), ctypes.c_void_p(), ctypes.c_void_p()
     found, values = ctypes.c_int(), ctypes.c_void_p()
@@ -230,7 +231,7 @@ def _stored(stack: ExitStack, kind: str, matrix: ctypes.c_void_p, size: int, col
 
 
 def _array_at(start: ctypes.c_void_p, count: int, dtype: Any) -> NDArray[Any]:
-    """Return an array at an address; it cannot be written to."""
+    """Return a read-only array at an address."""
     if not count:
         return np.zeros(0, dtype=dtype)
     kind = np.ctypeslib.as_ctypes_type(dtype)
@@ -245,7 +246,7 @@ def _integer() -> Any:
 
 
 def _call(name: str, *arguments: Any) -> None:
-    """Call one of PETSc's functions by its name in C."""
+    """Call a C function of PETSc by name."""
     if code := _library()[name](*arguments):
         raise petsc().Error(code)
 

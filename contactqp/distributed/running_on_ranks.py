@@ -1,8 +1,8 @@
 """Solve a scene's load, or its load path in steps, on the ranks of MPI.
 
-With friction a path is followed as in one process: slip counts from where contacts were before, or where they closed.
-What a step needs to know of the contacts before it (`contactqp.analysis.friction_step`) is whole on every rank, a few
-numbers for each contact, so that all ranks decide alike.
+With friction a path is computed as in one process, with slip measured from the previous position of each contact, or
+from where it closed. The state of contacts before a step (`contactqp.analysis.friction_step`), a few numbers for each,
+is complete on every rank, so that all ranks take the same decisions.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def follow_distributed(
     checkpoint: Checkpoint | None = None,
     **options: Any,
 ) -> Iterator[DistributedSolution]:
-    """Yield the solution without friction under each load, started from the one before. Collective.
+    """Yield the solution without friction under each load, started from the previous one. Collective.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def follow_with_friction(
 
     The problem of each solution has the slip origins of its step, as those of `contactqp.follow_path`.
 
-    Raises Unsupported: there is a checkpoint.
+    Raises Unsupported: a checkpoint is given.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def follow_with_friction(
         if state is None:
             stepper.turn(load, load)
             state = stepper.solve(1.0, origin, np.zeros(len(origin), dtype=bool))
-            # A contact that is closed and carries nothing is where the problem anchored it.
+            # # A closed contact without force is at the problem's slip origin.
             at_rest = state.touching & ~state.pushes
             anchors = Anchors(np.where(at_rest[:, None], origin, state.position), state.touching)
             stepper.accept(state)
@@ -138,7 +138,7 @@ def follow_with_friction(
 
 
 class _Stepper:
-    """The steps of `contactqp.analysis.friction_step.SolveStepper` over the ranks; everything is collective."""
+    """Implements `contactqp.analysis.friction_step.SolveStepper` over the ranks; all methods are collective."""
 
     before: DistributedSolution
 
@@ -149,7 +149,7 @@ class _Stepper:
         self._compliance = row_sizes(problem, problem.normal).compliance
 
     def turn(self, start: Vector, load: Vector) -> None:
-        """Set out from one load to the next."""
+        """Start the step from one load to the next."""
         self._start, self.load = start, load
 
     def solve(self, fraction: float, origin: Array, held_open: Mask) -> State:
@@ -171,12 +171,12 @@ class _Stepper:
         raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
-        """Make a state a step of the path, with the problem's own gaps; the next solve starts from it.
+        """Return a state as a step of the path, with the gaps of the problem; the next solve starts from it.
 
         Raises
         ------
         NotConverged
-            Contacts that do not reach their obstacle make a difference: there are several equilibria.
+            The result depends on contacts that do not reach their obstacle: there are several equilibria.
         """
         found: Any = state.step.finish()
         ranks = self._problem.ranks
@@ -191,7 +191,7 @@ class _Stepper:
         return state
 
     def _state(self, solution: DistributedSolution, fraction: float, held_open: Mask, origin: Array) -> State:
-        """Return what the next step needs of a solution; gaps are those of the problem."""
+        """Return the state of a solution for the next step, with the gaps of the problem."""
         problem, u = self._problem, solution.answer.displacement
         rows: Any = problem.tangent
         largest = float(problem.ranks.max(float(np.max(np.sqrt(problem.metric) * abs(u), initial=0.0))))
@@ -222,7 +222,7 @@ class _Stepper:
 
 
 def energies_with_friction(solutions: Sequence[DistributedSolution]) -> Iterator[Energies]:
-    """Yield the energies of each step, as `contactqp.History.energies` has them with friction. Collective."""
+    """Yield the energies of each step, as `contactqp.History.energies` with friction. Collective."""
     work = dissipated = 0.0
     before: Vector | None = None
     for now in solutions:
@@ -243,14 +243,14 @@ def _origin(problem: DistributedProblem) -> Array:
     return problem.slip_origin
 
 
-# The fields of a scene that change no answer of it.
+# # The fields of a scene that do not affect its answers.
 _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")
-# Bytes of a digest, so many that two scenes never share one by chance; and of a file that are in memory at once.
+# # Bytes of a digest, enough to exclude collisions, and of a file in memory at once.
 _SIZE, _CHUNK = 12, 2**20
 
 
 def run_on_ranks(model: ModelOnRanks, method: str, checkpoint: str | Path | None = None, **options: Any) -> History:
-    """Solve a model as `contactqp.run` with ``engine="petsc"`` does. Collective.
+    """Solve a model like `contactqp.run` with ``engine="petsc"``. Collective.
 
     Raises Unsupported, InvalidProblem as `contactqp.run` does.
 
@@ -299,7 +299,7 @@ def _whole_problem(problem: ContactProblem, load: Vector, solution: DistributedS
 def _events(
     solutions: Sequence[Any], times: Sequence[float], name: Callable[[int], str], friction: bool
 ) -> Callable[[], Iterable[Event]]:
-    """Return a function that finds every change of a contact's state, at the first step that shows it."""
+    """Return a function that finds every change of a contact's state, at the first step after it."""
     if not friction:
         return lambda: changes(solutions, times)
 
@@ -311,7 +311,7 @@ def _events(
 
 
 def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) -> Any:
-    """Return the solution under the load at a pseudo-time, solved for by itself. Collective.
+    """Return the solution under the load at a pseudo-time, solved separately. Collective.
 
     Parameters
     ----------
@@ -328,12 +328,12 @@ def answer_at(model: ModelOnRanks, time: Fraction, method: str, **options: Any) 
 
 
 def model_on_ranks(scene: SceneData) -> ModelOnRanks:
-    """Return the model of a scene: elastic bodies in pieces; all else is small and whole on every rank. Collective.
+    """Return the model of a scene: elastic bodies in pieces, all other scenes whole on every rank. Collective.
 
     Raises
     ------
     SceneError, BackendMissing
-        As `contactqp.scene.building.build`; all ranks raise an error of one, such as a file that it lacks.
+        As `contactqp.scene.building.build`; an error of one rank, such as a missing file, is raised on all.
     """
     ranks = Ranks()
     if scene.bodies and not (scene.membranes or scene.motion or scene.large):
@@ -343,7 +343,7 @@ def model_on_ranks(scene: SceneData) -> ModelOnRanks:
 
 
 def digest_of(scene: SceneData) -> str:
-    """Return a text that differs between scenes with different answers, the contents of their mesh files included."""
+    """Return a hash of all data of a scene that affect its answers, including the contents of mesh files."""
     stated = scene.model_copy(update=dict.fromkeys(_WORDS))
     found = hashlib.blake2b(repr(stated).encode(), digest_size=_SIZE)
     folder = Path() if scene.file is None else scene.file.parent
@@ -356,7 +356,7 @@ def digest_of(scene: SceneData) -> str:
 
 
 def _instants(model: ModelOnRanks) -> Iterator[tuple[float, Vector]]:
-    """Yield pseudo-time and load of the start, without a load, and of equal steps from corner to corner of a path."""
+    """Yield pseudo-time and load of the unloaded start and of equal steps between the corners of a path."""
     path = model.scene.path
     if path is None:
         yield 1.0, model.problem.load

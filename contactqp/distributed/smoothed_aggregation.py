@@ -1,10 +1,10 @@
-"""Levels of smoothed aggregation on the aggregates that PETSc's GAMG makes, as in `contactqp.linalg.multigrid`:
+"""Levels of smoothed aggregation on the aggregates of PETSc's GAMG, as in `contactqp.linalg.multigrid`:
 
     P = (I - 4/(3 rho) D^-1 K) T,    K_coarse = P'K P,
 
-where T prolongs the motions that cost little energy. Both products are made from a few rows of K at a time, in blocks
-of nodes: GAMG's own levels hold K P as a whole, which on several ranks takes more memory than K. GAMG makes the
-aggregates from the graph of K, with one number for each block.
+where T prolongs motions of low energy. Both products are computed from a few rows of K at a time, in blocks of nodes;
+GAMG's own levels store K P as a whole, which on several ranks takes more memory than K. GAMG forms the aggregates from
+the graph of K, with one number for each block.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ OPTIONS = {
     "mg_levels_ksp_type": "richardson",
     "mg_coarse_pc_type": "none",
 }
-# The aggregates of the finest level are made of neighbours of neighbours.
+# # Aggregates of the finest level consist of neighbours of neighbours.
 AGGRESSIVE = "pc_gamg_aggressive_coarsening"
-# The number of no aggregate.
+# # The number for no aggregate.
 NONE = -1
-# A motion whose square the other motions of an aggregate reduce to this part or less is a combination of them there.
+# # A motion whose square is reduced to at most this part by the others of an aggregate counts as dependent on them.
 SAME_MOTION = 1e-13
 
 
@@ -51,14 +51,14 @@ SAME_MOTION = 1e-13
 class Aggregates:
     """The aggregate of each block of this rank, numbered over all ranks."""
 
-    of: NDArray[Any]  # (blocks here,) NONE where nothing couples with a block
-    starts: NDArray[Any]  # (ranks + 1,) the number of the first aggregate of each rank
+    of: NDArray[Any]  # (blocks here,) NONE for uncoupled blocks
+    starts: NDArray[Any]  # (ranks + 1,) number of the first aggregate of each rank
 
 
 def aggregates(comm: Any, stored: StoredRows, *, finest: bool) -> Aggregates | None:
-    """Return GAMG's aggregates of the blocks that K couples, or None where they are not coarser. Collective.
+    """Return GAMG's aggregates of the blocks that K couples, or None if they are not coarser. Collective.
 
-    Raises Unsupported: an option that the user has set names another preconditioner; PETSc.Error: GAMG gave up.
+    Raises Unsupported: an option of the user names another preconditioner; PETSc.Error: GAMG failed.
     """
     PETSc = petsc()
     graph = _graph(comm, stored)
@@ -85,7 +85,7 @@ def _found(pc: Any, graph: Any) -> Aggregates | None:
     prolongation = pc.getMGInterpolation(finest)
     indptr, indices, _ = prolongation.getValuesCSR()
     of = np.full(len(indptr) - 1, NONE, dtype=indices.dtype)
-    of[np.diff(indptr) > 0] = indices  # one a row
+    of[np.diff(indptr) > 0] = indices  # one per row
     count = prolongation.getSize()[1]
     coarser = 0 < count < graph.getSize()[0]
     return Aggregates(of, np.array(prolongation.getOwnershipRangesColumn())) if coarser else None
@@ -112,15 +112,15 @@ def _norms(blocks: StoredBlocks) -> sp.csr_matrix:
 class Tentative:
     """The tentative prolongation T."""
 
-    rows: sp.bsr_matrix  # of this rank, over the coarse unknowns of all ranks
-    starts: NDArray[Any]  # (ranks + 1,) the number of the first coarse unknown of each rank
+    rows: sp.bsr_matrix  # rows of this rank, over the coarse unknowns of all ranks
+    starts: NDArray[Any]  # (ranks + 1,) number of the first coarse unknown of each rank
 
 
 def tentative(ranks: Ranks, found: Aggregates, motions: Array, size: int) -> tuple[Tentative, Array]:
-    """Return T with T'T = 1, zero for motions that an aggregate has not, and B_coarse with B = T B_coarse. Collective.
+    """Return T with T'T = 1, zero for dependent motions of an aggregate, and B_coarse with B = T B_coarse. Collective.
 
-    With G = B'B of an aggregate, whose nodes may be on several ranks, T = B W with W upper triangular and W'GW = 1: the
-    Q of B = Q R, from sums.
+    With G = B'B of an aggregate, whose nodes may be on several ranks, T = B W with W upper triangular and W'GW = 1 is
+    the Q of B = Q R, computed by sums only.
 
     Parameters
     ----------
@@ -157,12 +157,12 @@ def tentative(ranks: Ranks, found: Aggregates, motions: Array, size: int) -> tup
 
 
 def _orthonormal(gram: Array) -> Array:
-    """Return W (a, q, q) with W'GW = 1 for G (a, q, q); zeros for a motion that is a combination of those before it."""
+    """Return W (a, q, q) with W'GW = 1 for G (a, q, q), zeros for motions that depend on previous ones."""
     W = np.zeros_like(gram)
     for k in range(gram.shape[1]):
         w = np.zeros(gram.shape[:2])
         w[:, k] = 1.0
-        for _ in range(2):  # once would leave the rounding of motions that are nearly parallel
+        for _ in range(2):  # repeated because of the rounding of nearly parallel motions
             w -= np.einsum("akj,aj->ak", W, np.einsum("akj,ak->aj", W, np.einsum("akl,al->ak", gram, w)))
         square = np.einsum("ak,akl,al->a", w, gram, w)
         own = square > SAME_MOTION * gram[:, k, k]
@@ -170,7 +170,7 @@ def _orthonormal(gram: Array) -> Array:
     return W
 
 
-# Unknowns of the coarsest level: every rank has its dense factor, a part of which is made anew for every contact set.
+# # Unknowns of the coarsest level, whose dense factor is on every rank and partly updated for every contact set.
 COARSEST = 600
 
 
@@ -181,7 +181,7 @@ class DistributedLevel:
     ranks: Ranks
     product: Product  # x -> K x
     diagonal: Vector  # D (n_here,)
-    largest: float  # eigenvalue of D^-1 K
+    largest: float  # largest eigenvalue of D^-1 K
     prolong: Rows  # P from the next coarser level
 
 
@@ -190,7 +190,7 @@ def smoothed_levels(
 ) -> tuple[list[DistributedLevel], Any]:
     """Return all levels except the coarsest, from the finest on, and the matrix of the coarsest. Collective.
 
-    Raises PETSc.Error: GAMG gave up.
+    Raises PETSc.Error: GAMG failed.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def smoothed_levels(
             T, B = tentative(ranks, found, B, stored.size)
             level, matrix = smoothed_level(ranks, matrix, stored, T, D)
         levels.append(level)
-        # A coarse unknown that an aggregate had no motion for has a zero row: one stands for its diagonal.
+        # # Coarse unknowns of dependent motions have zero rows, and get a diagonal of one.
         D = np.array(matrix.getDiagonal().array)
         D[D <= 0] = 1.0
     return levels, matrix
@@ -219,7 +219,7 @@ def smoothed_levels(
 def smoothed_level(
     ranks: Ranks, matrix: Any, stored: StoredRows, tentative: Tentative, diagonal: Vector
 ) -> tuple[DistributedLevel, Any]:
-    """Make one level and the matrix of the next coarser one. Collective.
+    """Return one level and the matrix of the next coarser one. Collective.
 
     Parameters
     ----------
@@ -238,9 +238,9 @@ def smoothed_level(
 
 
 class _Blocks:
-    """Products with a distributed matrix, made from a few of this rank's rows at a time.
+    """Products with a distributed matrix, computed from a few of this rank's rows at a time.
 
-    Matrices over the coarse unknowns have the columns of all ranks here, of which few are filled.
+    Matrices over the coarse unknowns have the columns of all ranks, most of them empty.
     """
 
     def __init__(self, ranks: Ranks, matrix: Any, stored: StoredRows) -> None:
@@ -261,7 +261,7 @@ class _Blocks:
         return _stacked(parts, tentative)
 
     def galerkin(self, prolong: sp.bsr_matrix, starts: NDArray[Any]) -> Any:
-        """Return P'K P as PETSc.Mat, with coarse unknowns distributed as `starts` says."""
+        """Return P'K P as PETSc.Mat, with coarse unknowns distributed by `starts`."""
         size = prolong.blocksize[1]
         blocksize, away = (size, size), self._rows_of_others(prolong)
         product = sp.bsr_matrix((prolong.shape[1], prolong.shape[1]), blocksize=blocksize)
@@ -277,19 +277,21 @@ class _Blocks:
         return block_matrix(self._comm, _bsr(row - first // size, column, values, shape))
 
     def _parts(self) -> Iterator[tuple[int, sp.bsr_matrix, sp.bsr_matrix]]:
-        """Yield a row of blocks and copies of some rows of K from there on, over unknowns here and of other ranks."""
+        """Yield a first row of blocks, and copies of some rows of K from it on, over unknowns here and of other
+        ranks.
+        """
         for begin, end in self._stored.parts():
             yield begin, self._stored.here.rows(begin, end), self._stored.away.rows(begin, end)
 
     def _rows_of_others(self, rows: sp.bsr_matrix) -> sp.bsr_matrix:
-        """Fetch the rows of a matrix at the blocks of other ranks that K couples with blocks here."""
+        """Fetch the rows of a matrix at the blocks of other ranks coupled by K with blocks here."""
         others = self._stored.others
         entries = rows_of_other_ranks(self._ranks, self._starts, others, rows)
         return _bsr(*entries, (len(others) * self._stored.size, rows.shape[1]))
 
 
 def _product(here: sp.bsr_matrix, own: sp.bsr_matrix, beside: sp.bsr_matrix, away: sp.bsr_matrix) -> sp.bsr_matrix:
-    """Multiply some rows of K with a matrix, whose rows of this rank are `own` and of others `away`."""
+    """Multiply some rows of K by a matrix with rows `own` of this rank and `away` of others."""
     product = sp.bsr_matrix(here @ own, blocksize=own.blocksize)
     if beside.nnz:
         product = product + sp.bsr_matrix(beside @ away, blocksize=own.blocksize)
@@ -302,7 +304,7 @@ def _rows_of_entries(matrix: sp.bsr_matrix) -> NDArray[Any]:
 
 
 def _bsr(row: NDArray[Any], column: NDArray[Any], values: Array, shape: tuple[int, int]) -> sp.bsr_matrix:
-    """Return blocks at rows and columns of blocks as a matrix; blocks at one place are added."""
+    """Return the matrix of blocks at given rows and columns of blocks; blocks at the same position are added."""
     order = np.argsort(row, kind="stable")
     indptr = np.append(0, np.cumsum(np.bincount(row, minlength=shape[0] // values.shape[1])))
     matrix = sp.bsr_matrix((values[order], column[order], indptr), shape=shape)
@@ -311,7 +313,7 @@ def _bsr(row: NDArray[Any], column: NDArray[Any], values: Array, shape: tuple[in
 
 
 def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:
-    """Put matrices one below the other, in the shape of `like`."""
+    """Stack matrices, in the shape of `like`."""
     ends = np.append(0, np.cumsum([part.indptr[-1] for part in parts]))
     indptr = np.concatenate([[0], *(part.indptr[1:] + end for part, end in zip(parts, ends, strict=False))])
     indices = np.concatenate([like.indices[:0], *(part.indices for part in parts)])
@@ -320,7 +322,7 @@ def _stacked(parts: list[sp.bsr_matrix], like: sp.bsr_matrix) -> sp.bsr_matrix:
 
 
 def _rows_of(prolong: sp.bsr_matrix, coarse: Any) -> Rows:
-    """Return P over the coarse unknowns that it touches."""
+    """Return P restricted to its nonzero columns."""
     size = prolong.blocksize[1]
     blocks, place = np.unique(prolong.indices, return_inverse=True)
     shape = (prolong.shape[0], len(blocks) * size)

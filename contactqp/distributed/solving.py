@@ -1,7 +1,7 @@
 """Solve contact problems over the ranks of MPI and certify the answers.
 
-`solve_distributed` solves a problem of which each rank has a part. `solve_whole` does so with a problem that every rank
-was given whole, and returns the whole answer to each.
+`solve_distributed` solves a problem of which each rank has a part; `solve_whole` one given whole to every rank, and
+returns the whole answer to each.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, algorithm_name, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
-# The error in energy, relative to the energy of the contact forces: on any number of ranks the displacement is that of
-# one process to 1e-9, in energy; single unknowns that are much softer than others may differ by more of their own size.
+# # The energy error relative to the energy of the contact forces: on any number of ranks the displacement agrees with
+# that
+# # of one process to 1e-9 in energy; single very soft unknowns may differ by more, relative to their own size.
 ENERGY = 1e-10
 
 
@@ -63,7 +64,7 @@ def solve_distributed(
     max_iter: int | None = None,
     warm_start: Answer | None = None,
 ) -> DistributedSolution:
-    """Find the minimum of 1/2 u'Ku - f'u over E_N u <= g, A u = b, with its forces and a certificate. Collective.
+    """Minimise 1/2 u'Ku - f'u over E_N u <= g, A u = b; return the solution with forces and certificate. Collective.
 
     Parameters
     ----------
@@ -86,15 +87,15 @@ def solve_distributed(
     Raises
     ------
     NoEquilibrium
-        The load drives a rigid motion that nothing holds back.
+        The load drives a rigid motion that nothing resists.
     NotConverged, NotCertified
-        As `contactqp.solve`, and where constraints conflict; the solution they carry is a DistributedSolution.
+        As `contactqp.solve`, and if constraints conflict; the attached solution is a DistributedSolution.
     Unsupported
         Another method, or a solver that this PETSc lacks.
     InvalidProblem
         An invalid tolerance or limit.
     BackendFailed
-        PETSc gave up.
+        PETSc failed.
     """
     started = time.perf_counter()
     method = distributed_method(method)
@@ -136,7 +137,9 @@ def solve_distributed(
 
 
 def _certifiable(problem: DistributedProblem, tolerance: float, answer: Answer, limit: float) -> bool:
-    """Return whether every figure of the certificate but `balance`, which equilibrium implies, is at most a limit."""
+    """Return whether all figures of the certificate except `balance`, which equilibrium implies, are at most a
+    limit.
+    """
     found = violations(problem, answer, Bodies(problem.ranks, problem.body), ROUNDING_OF_ANSWERS * tolerance)
     figures = largest_over_ranks(problem.ranks, *(getattr(found, name) for name in FIGURES if name != "balance"))
     return all(figure <= limit for figure in figures)
@@ -145,7 +148,7 @@ def _certifiable(problem: DistributedProblem, tolerance: float, answer: Answer, 
 def certified_solution(
     problem: DistributedProblem, answer: Answer, method: str, solver: str = AUTO
 ) -> DistributedSolution:
-    """Certify an answer that is known already, without raising where the certificate refuses it. Collective.
+    """Certify a known answer, without raising if the certificate refuses it. Collective.
 
     Parameters
     ----------
@@ -159,9 +162,9 @@ def certified_solution(
 
 
 def distributed_method(name: str) -> str:
-    """Return the name under which a method that solves over ranks is registered; case does not count.
+    """Return the registered name of a method that solves over ranks, ignoring case.
 
-    Raises Unsupported: there is no such method, or it does not solve over ranks.
+    Raises Unsupported: the method does not exist, or does not solve over ranks.
     """
     method = of_same_letters(name, bounded.METHODS) or registered_name(name)
     if method in bounded.METHODS or find(method).kind == "active set":
@@ -170,7 +173,7 @@ def distributed_method(name: str) -> str:
 
 
 def iteration_of(problem: DistributedProblem, solver: str) -> DistributedIteration:
-    """Return the iteration of a stiffness and its rows, made once for all problems that have both. Collective."""
+    """Return the iteration of a stiffness and its rows, shared by all problems that have both. Collective."""
     frictional = problem.frictional
     made = problem.computed.iterations
     if (solver, frictional) not in made:
@@ -180,7 +183,7 @@ def iteration_of(problem: DistributedProblem, solver: str) -> DistributedIterati
 
 
 def _at_rest(problem: DistributedProblem, iteration: DistributedIteration, answer: Answer) -> tuple[Answer, Array]:
-    """Return the answer with the displacement of least norm within the gaps, and the motions that nothing resists."""
+    """Return the answer with the displacement of least norm within the gaps, and the unresisted rigid motions."""
     if not iteration.floating.count:
         return answer, np.zeros((len(problem.load), 0))
     u, force = answer.displacement, answer.normal_force
@@ -194,7 +197,7 @@ def _at_rest(problem: DistributedProblem, iteration: DistributedIteration, answe
 def _certified(
     problem: DistributedProblem, answer: Answer, motions: Array, iteration: DistributedIteration, method: str
 ) -> DistributedSolution:
-    """Return an answer with its certificate; its seconds and its work are those of the certificate."""
+    """Return an answer with its certificate, and with the seconds and work of the certificate."""
     started, before = time.perf_counter(), iteration.krylov_iterations
     certificate = certify_distributed(problem, answer, bounds=lambda: iterated_bounds(problem, answer, iteration))
     seconds = float(problem.ranks.max(time.perf_counter() - started))
@@ -208,18 +211,18 @@ def _certified(
     return DistributedSolution(problem, answer, status, certificate, method, seconds, seconds, work, motions)
 
 
-# The fields of violations that have one entry an unknown; "tie" has one a tie, and the others one a contact.
+# # The fields of violations with one entry per unknown; "tie" has one per tie, the others one per contact.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
-# The options of `solve` that make sense in one process alone, with the values that state nothing.
+# # The options of `solve` for one process only, with their default values.
 _OF_ONE_PROCESS = {"condense": "auto", "polish": True}
-# The options of `solve_distributed`, whose warm start is distributed.
+# # The options of `solve_distributed`, with a distributed warm start.
 _OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
 
 
 def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None, **options: Any) -> Solution:
-    """Solve as `contactqp.solve` on the ranks of MPI; all ranks give the same and get the same. Collective.
+    """Solve as `contactqp.solve` on the ranks of MPI; arguments and result are the same on all ranks. Collective.
 
-    Raises Unsupported: a method or an option that makes sense in one process alone.
+    Raises Unsupported: a method or an option for one process only.
 
     Parameters
     ----------
@@ -238,7 +241,7 @@ def solve_whole(problem: ContactProblem, method: str, *, warm_start: Any = None,
 
 
 def options_on_ranks(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of `solve` that mean something on several ranks.
+    """Return the options of `solve` that apply on several ranks.
 
     Raises Unsupported: another one is given.
     """
@@ -269,7 +272,9 @@ def part_of_solution(part: DistributedProblem, solution: Solution) -> Answer:
 
 @contextmanager
 def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
-    """Replace the distributed solution that an error carries by the whole one. Collective where all ranks raise it."""
+    """Replace the distributed solution attached to an error by the whole one. Collective if the error is raised, on all
+    ranks.
+    """
     try:
         yield
     except (NotConverged, NotCertified) as error:
@@ -280,7 +285,7 @@ def whole_in_errors(problem: ContactProblem) -> Iterator[None]:
 
 
 def whole_solution(problem: ContactProblem, solution: DistributedSolution) -> Solution:
-    """Return a distributed solution as one process would have it, on every rank. Collective."""
+    """Return a distributed solution as that of one process, on every rank. Collective."""
     return Solution(
         problem=problem,
         answer=Answer(solution.displacement, solution.normal_force, solution.friction_force, solution.tie_force),
@@ -333,13 +338,13 @@ def _whole_violations(found: Violations, part: DistributedProblem, gather: Gathe
 
 @dataclass(frozen=True, eq=False)
 class CollectedSolution(HoldsAnswer):
-    """A solution for the rank that prints it: in the numbers of one process on the first rank, arrays of no rows on
-    the others.
+    """A solution for printing, complete in the numbers of one process on the first rank, with empty arrays on the
+    others.
     """
 
     answer: Answer = field(repr=False)
     contact_status: NDArray[np.str_] = field(repr=False)  # (m,)
-    certificate: Certificate  # its figures and its verdict are those of all ranks
+    certificate: Certificate  # with figures and verdict of all ranks
     method: str
     seconds: float
     work: Work

@@ -1,7 +1,7 @@
-"""Compute the figures of `contactqp.certificate.figures` of a distributed answer, each rank its own part.
+"""Compute the figures of `contactqp.certificate.figures` for a distributed answer, each rank its part.
 
-Residuals are formed in double precision, as `contactqp.linalg.extended.plain_residuals` forms them: a figure is known
-to a few dozen roundings, about 1e-14, and a smaller one is only known to be smaller.
+Residuals are formed in double precision, as `contactqp.linalg.extended.plain_residuals` forms them: figures have an
+error of a few dozen roundings, about 1e-14; of smaller ones only the bound is known.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from contactqp.model.solution import Answer, Nothing, Violations
 
 
 def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, rounding: float) -> Violations:
-    """Return every figure of this rank's unknowns, contacts and ties. Collective.
+    """Return all figures of this rank's unknowns, contacts and ties. Collective.
 
     Parameters
     ----------
@@ -104,7 +104,8 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
 
 
 def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
-    """Return the forces and lengths that are nothing beside the intrinsic size, as `contactqp.linalg.measures.nothing`
+    """Return the forces and lengths that are negligible compared to the intrinsic size, as
+    `contactqp.linalg.measures.nothing`
     does. Collective.
     """
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
@@ -129,7 +130,7 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
 
 
 def untouched(problem: DistributedProblem) -> Mask:
-    """Return whether neither the stiffness nor a row touches each unknown (n_here,). Collective."""
+    """Return the unknowns (n_here,) touched neither by the stiffness nor by a row. Collective."""
     touched = problem.diagonal > 0
     if not problem.ranks.any(not touched.all()):
         return ~touched
@@ -142,8 +143,8 @@ def untouched(problem: DistributedProblem) -> Mask:
 def _least_contact_force(
     problem: DistributedProblem, u: Vector, strain: float, size: float, part: float, none: Vector
 ) -> Vector | None:
-    """Return the forces (n_here,) up to which a contact pushes or pulls nothing, or None if they are `none`, those of
-    residuals; as `contactqp.linalg.measures` does. `strain` is |u_e|_K. Collective.
+    """Return the forces (n_here,) up to which contact forces count as zero, or None if these equal `none`, those of
+    residuals; as in `contactqp.linalg.measures`. `strain` is |u_e|_K. Collective.
     """
     pushed = problem.ranks.max(float(np.max(reciprocal(np.sqrt(problem.diagonal)) * abs(problem.load), initial=0.0)))
     if not 0 < OF_ALL_LENGTHS * pushed < size:
@@ -155,9 +156,9 @@ def _least_contact_force(
 
 
 def _longest_length(problem: DistributedProblem, displacement: Vector, along: bool) -> float:
-    """Return the longest of the lengths |g|, |b| and |E||u| of all bodies together [square root of energy]. Collective.
+    """Return the largest of the lengths |g|, |b| and |E||u| of all bodies [square root of energy]. Collective.
 
-    It is infinite if none is stated; `along` is that of `contactqp.linalg.measures`.
+    It is infinite without lengths; `along` is that of `contactqp.linalg.measures`.
     """
     stated = moved = 0.0
     for rows, limit in (one for one in rows_and_limits(problem) if along or one[0] is not problem.tangent):
@@ -172,7 +173,7 @@ def _longest_length(problem: DistributedProblem, displacement: Vector, along: bo
 def coulomb_residual(problem: DistributedProblem, answer: Answer, found: Violations) -> Vector | None:
     """Return the residual (m_here,) of Signorini's and Coulomb's law as one equation. Collective.
 
-    It is that of `contactqp.certificate.coulomb_law.coulomb_residual`; None where no contact of any rank has friction.
+    It is that of `contactqp.certificate.coulomb_law.coulomb_residual`, None if no contact of any rank has friction.
     """
     hardly = _hardly_felt(problem)
     data = _friction_data(problem, answer.displacement, found.meeting, found.nothing.force, hardly)
@@ -202,7 +203,7 @@ def outer_forces(problem: DistributedProblem, answer: Answer) -> Vector:
 
 
 def _acting(problem: DistributedProblem, answer: Answer) -> list[tuple[Rows, Vector]]:
-    """Return the rows that forces act on, with their forces."""
+    """Return the rows with nonzero forces, and these forces."""
     acting = [(problem.normal, answer.normal_force), (problem.tie, answer.tie_force)]
     if problem.tangent is not None and answer.friction_force is not None:
         acting.append((problem.tangent, answer.friction_force.ravel()))
@@ -210,7 +211,7 @@ def _acting(problem: DistributedProblem, answer: Answer) -> list[tuple[Rows, Vec
 
 
 def row_sizes(problem: DistributedProblem, rows: Rows) -> RowSizes:
-    """Return the sizes of this rank's rows at the unknowns that they touch. Collective."""
+    """Return the sizes of this rank's rows at their touched unknowns. Collective."""
     return sizes_of(rows.entries, rows.at_touched(problem.diagonal))
 
 
@@ -225,7 +226,7 @@ def _tangential_lengths(problem: DistributedProblem, displacement: Vector) -> Ve
 def _friction_data(
     problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: Mask
 ) -> CoulombData | None:
-    """Return the slips of this rank's contacts and their measures; None without tangential rows. Collective.
+    """Return the slips of this rank's contacts and their measures, None without tangential rows. Collective.
 
     Parameters are those of `contactqp.certificate.coulomb_law.coulomb_data`.
     """
@@ -249,7 +250,7 @@ def _hardly_felt(problem: DistributedProblem) -> Mask:
     if rows is None or problem.slip_origin is None:
         return np.zeros(problem.contacts, dtype=bool)
     across = bare_infinite(rows.entries, row_sizes(problem, rows).compliance, rows.at_touched(problem.diagonal))
-    # Of the unknowns that normal rows touch those count that tangential rows touch, too.
+    # # Only unknowns touched by normal and tangential rows count.
     both = np.isin(normal.touched, rows.touched)
     place = np.searchsorted(rows.touched, normal.touched[both], sorter=(order := np.argsort(rows.touched)))
     pick = sp.csr_array((np.ones(len(place)), (np.flatnonzero(both), order[place])), (len(both), len(rows.touched)))
