@@ -19,9 +19,9 @@ Since w - u* = -K^+ (E'(l - l*) + A'(nu - nu*)),
 
     |l - l*|_W <= |w - u*|_K,                                                                              (3)
 
-with |d|_W the energy norm of the response of the tied bodies to the contact forces d.
-From the first two lines also l_i* <= G^2 / (2 (g - E v)_i) where v is open; and with v_i, mu_i from
-K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A v_i = 0 on independent rows B,
+with |d|_W the energy norm of the response of the tied bodies to the contact forces d. From the first two lines also
+l_i* <= G^2 / (2 (g - E v)_i) where v is open; and with v_i, mu_i from K v_i + E_B'mu_i + A'eta_i = 0, E_B v_i = 1_i, A
+v_i = 0 on independent rows B,
 
     |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                    (4)
 

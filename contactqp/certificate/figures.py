@@ -1,11 +1,10 @@
 """Compute the dimensionless violations of an answer at every contact and unknown, independent of units and scales.
 
 With F_j = (|K||u| + |E_N|'|l_N| + |E_T|'|l_T| + |A|'|nu| + |f|)_j the size of the forces that meet at unknown j (of a
-load that is known to be a sum, |f| is the sum of the sizes) and
-L_i = (|E_N||u| + |g|)_i the size of the lengths that meet at contact i (`lengths_that_meet` says what it is where
-both vanish), a force of contact i is measured as max_j |E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F
-and L, u is the displacement without its rigid part. What is negligible relative to the intrinsic size of problem and
-answer (`contactqp.linalg.measures`) counts as zero.
+load that is known to be a sum, |f| is the sum of the sizes) and L_i = (|E_N||u| + |g|)_i the size of the lengths that
+meet at contact i (`lengths_that_meet` says what it is where both vanish), a force of contact i is measured as max_j
+|E_ij l_i| / F_j and a gap as its size over L_i; 0/0 is 0. In F and L, u is the displacement without its rigid part.
+What is negligible relative to the intrinsic size of problem and answer (`contactqp.linalg.measures`) counts as zero.
 
 Coulomb's law is judged in `contactqp.certificate.coulomb_law`, the balance of floating bodies in
 `contactqp.certificate.balance`. Here are also the norms of answers and their differences,

@@ -54,8 +54,8 @@ normal forces for any friction bounds (Kakutani), or if the answer has a margin.
 the norm of M = S + A'A + Z Z' on the retained unknowns, in which springs fix the rigid motions Z
 (`contactqp.linalg.delassus`): |R_i v| <= w_i |v|_M with w_i^2 = R_i M^-1 R_i', and forces y of closed contacts and ties
 B, which balance on Z, satisfy y'B M^-1 B'y <= y'B S^+ B'y = |v|_K^2, so that V_i^2 = ((B M^-1 B')^-1)_ii bounds them.
-As S_jj <= K_jj, |v|_M is at most the norm of v'Kv + sum K_jj v_j^2, in which
-`radius` is then stated, reduced for unknowns without stiffness (`part_that_is_seen`).
+As S_jj <= K_jj, |v|_M is at most the norm of v'Kv + sum K_jj v_j^2, in which `radius` is then stated, reduced for
+unknowns without stiffness (`part_that_is_seen`).
 
 Rounding allowance: w is formed by one more refinement, whose correction is counted twice in every gap and slip; kappa,
 V_i and w_i are increased for rounding of W, by the pivots of its factors, and for the effect of rounding of a soft

@@ -7,8 +7,7 @@ other row touches limits w_p = E_i u / E_ip alone:
     u_p = w_p - sum over j != p of (E_ij / E_ip) w_j,    u_j = w_j elsewhere,
 
 so that 1/2 u'Ku - f'u over E_N u <= g, A u = b becomes 1/2 w'(T'KT)w - (T'f)'w over bounds on w, equal ones for a tie.
-Parallel rows share their unknown. The residual r = f - K u is the force of
-the rows: (T'r)_p = r_p = E_ip l_i.
+Parallel rows share their unknown. The residual r = f - K u is the force of the rows: (T'r)_p = r_p = E_ip l_i.
 
 The solvers get the problem without units, K_jj = 1 and |f| = 1, because the zero tolerance of SNES
 (``-snes_vi_zero_tolerance``, 1e-8) is an absolute length, by which open contacts could count as closed. PETSc's options
@@ -16,8 +15,7 @@ for them have the prefix ``contactqp_bounds_`` and override ours.
 
 The reduced-space and the trust-region method solve on the unknowns that are not at a bound, whose number changes from
 step to step. PETSc 3.18's GAMG fails there ("Cannot change local size of Amat after use"). MUMPS, BoomerAMG and
-incomplete
-factors of blocks ("asm") are set up again each time, and work with all three methods.
+incomplete factors of blocks ("asm") are set up again each time, and work with all three methods.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from contactqp.model.arrays import Indices, Vector
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods import Settings
 
-# # The index for no unknown or no row.
+# The index for no unknown or no row.
 NONE = -1
 
 
@@ -205,7 +203,7 @@ def _first_along_direction(entries: sp.csr_matrix) -> Indices:
         part = slice(entries.indptr[i], entries.indptr[i + 1])
         order = np.argsort(entries.indices[part])
         value = entries.data[part][order]
-        # # The row over its largest entry; quotients of a row and its negative are equal to the last digit.
+        # The row over its largest entry; quotients of a row and its negative are equal to the last digit.
         scaled = value / value[np.argmax(abs(value))] if len(value) else value
         leader[i] = first.setdefault(entries.indices[part][order].tobytes() + scaled.tobytes(), i)
     return leader
@@ -215,9 +213,9 @@ def _first_along_direction(entries: sp.csr_matrix) -> Indices:
 NEWTON, TRUST_REGION = ("vinewtonrsls", "vinewtonssls"), ("tao-bntr",)
 METHODS = (*NEWTON, *TRUST_REGION)
 PREFIX = "contactqp_bounds_"
-# # This method overwrites the given matrix by D_a + D_b B, which is not symmetric, in each step.
+# This method overwrites the given matrix by D_a + D_b B, which is not symmetric, in each step.
 CHANGES_MATRIX = ("vinewtonssls",)
-# # Options of the solvers of symmetric linear systems; UNSYMMETRIC has those of unsymmetric ones.
+# Options of the solvers of symmetric linear systems; UNSYMMETRIC has those of unsymmetric ones.
 SOLVERS: dict[str, dict[str, Any]] = {
     "mumps": {"ksp_type": "preonly", **MUMPS},
     "hypre": {"ksp_type": "cg", "pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
@@ -228,10 +226,10 @@ UNSYMMETRIC: dict[str, dict[str, Any]] = {
     "hypre": {"ksp_type": "gmres"},
     "asm": {"ksp_type": "gmres", "pc_type": "asm", "sub_pc_type": "ilu"},
 }
-# # Linear systems are solved to INNER times the tolerance, and the problem to OUTER times, as equilibrium is judged at
-# # each unknown but the residual of solvers is a norm over all.
+# Linear systems are solved to INNER times the tolerance, and the problem to OUTER times, as equilibrium is judged at
+# each unknown but the residual of solvers is a norm over all.
 INNER, OUTER = 1e-2, 1e-3
-# # SNES and TAO end with this reason if the residual of a right answer is rounding only.
+# SNES and TAO end with this reason if the residual of a right answer is rounding only.
 NO_DECREASE = -6
 STEPS, INNER_STEPS = 200, 10_000
 

@@ -37,7 +37,7 @@ from contactqp.model.arrays import Array, Index, Mask, Vector
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, GLOBALLY, Answer, Certificate, Violations
 
-# # The relative distance of the bounds of a minimum at the end; figures need few digits only.
+# The relative distance of the bounds of a minimum at the end; figures need few digits only.
 NEAR = 1e-9
 MOST_QUERIES = 1000
 
@@ -117,10 +117,8 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
     The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of w_j = z_j
-    size_j on each rank, which together have the singular values
-    of the whole w, and the sums for the search for the worst motion. A body whose rigid motion is no combination of
-    known
-    motions counts as supported.
+    size_j on each rank, which together have the singular values of the whole w, and the sums for the search for the
+    worst motion. A body whose rigid motion is no combination of known motions counts as supported.
 
     Parameters
     ----------
@@ -141,11 +139,11 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
     rounding = untouched(problem) & (size <= none)
     outer[rounding] = size[rounding] = 0.0
-    # # K z is zero up to rounding of K, whose product with the displacement is no imbalance.
+    # K z is zero up to rounding of K, whose product with the displacement is no imbalance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
     spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
-    # # Bodies without load need no balance if all forces on them are negligible.
+    # Bodies without load need no balance if all forces on them are negligible.
     heard = bodies.totals(((size > none) | (problem.load != 0)).astype(float)[:, None])
     at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0 and np.any(heard[i] > 0)]
     searches = {i: _WorstMotion(resultants(*spectra[i], work[i], stray[i])) for i in at_home}

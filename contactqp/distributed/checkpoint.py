@@ -2,8 +2,7 @@
 
 A step is a folder with a file of each rank: the numbers that its unknowns, contacts and ties have in one process, and
 their values. It counts once the step's own file exists beside the folder, which is written last, after the files of all
-ranks. Every
-file is written whole or not at all.
+ranks. Every file is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from contactqp.exchange.files import write_whole
 from contactqp.model.arrays import Index
 from contactqp.model.solution import Answer
 
-# # The version of the file format; no other is read.
+# The version of the file format; no other is read.
 FORMAT = 1
 CASE = "case.json"
 
@@ -55,7 +54,7 @@ class Checkpoint:
             steps = 0
             while self._commit(steps).is_file():
                 steps += 1
-        # # On shared file systems a new file may appear on other machines later.
+        # On shared file systems a new file may appear on other machines later.
         self.steps = -int(ranks.max(-steps))
 
     def write(self, step: int, problem: DistributedProblem, answer: Answer) -> None:
@@ -155,7 +154,7 @@ class Checkpoint:
         return self.folder / f"step-{step:06d}" / f"{rank}-of-{size}.npz"
 
 
-# # The fields of an answer, each with the field of the problem that contains the numbers of its rows.
+# The fields of an answer, each with the field of the problem that contains the numbers of its rows.
 _NUMBERS = {
     "displacement": "dof_number",
     "normal_force": "contact_number",

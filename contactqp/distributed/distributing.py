@@ -110,7 +110,7 @@ class Numbering:
         return np.asarray(np.searchsorted(self.size * self._ends, new, side="right"))
 
 
-# # Blocks have one, two or three unknowns, so shares that begin at multiples of six cut none.
+# Blocks have one, two or three unknowns, so shares that begin at multiples of six cut none.
 _WHOLE_BLOCKS = 6
 
 
@@ -233,7 +233,7 @@ class _Sharing:
         return sp.csr_matrix((data, indices, np.append(0, np.cumsum(lengths))), shape=shape)
 
 
-# # The fields of ProblemRows that are not matrices.
+# The fields of ProblemRows that are not matrices.
 _FACTS = ("from_near_null_space", "units")
 _OF_UNKNOWNS = ("load", "body", "motions", "dof_names")
 _OF_TIES = ("tie_value", "tie_names")

@@ -2,9 +2,9 @@
 
 Products and preconditioners are PETSc's, and sums are reductions. The projections of `contactqp.linalg.krylov` solve
 with the Gram matrix E D^-1 E' of the constrained rows: rows that share no unknown with others, nodes on rigid
-obstacles, are solved one by one on their rank. If rows share
-unknowns on one rank only, as the normal and tangents of such a node may, the Gram matrix is factorised there. Otherwise
-it is factorised on every rank, which needs all unknowns touched by constrained rows, a surface, on each.
+obstacles, are solved one by one on their rank. If rows share unknowns on one rank only, as the normal and tangents of
+such a node may, the Gram matrix is factorised there. Otherwise it is factorised on every rank, which needs all unknowns
+touched by constrained rows, a surface, on each.
 """
 
 from __future__ import annotations

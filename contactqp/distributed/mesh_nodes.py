@@ -278,7 +278,7 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
     rows, columns = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
     touched = np.zeros(count, dtype=bool)
     touched[rows - first] = True
-    # # Only rows with contributions of other ranks may have repeated columns.
+    # Only rows with contributions of other ranks may have repeated columns.
     mine = ~foreign
     mine[mine] = touched[place[mine] - first]
     pairs = np.stack([np.concatenate([rows, place[mine]]), np.concatenate([columns, other[mine]])])

@@ -20,9 +20,9 @@ from contactqp.elements.reference_elements import REFERENCES, Block, Reference, 
 from contactqp.errors import InvalidProblem, Unsupported
 from contactqp.model.arrays import Array, Index
 
-# # Bit 0 of a facet's marks is set on the boundary of the whole mesh, bit 1 + i on side i.
+# Bit 0 of a facet's marks is set on the boundary of the whole mesh, bit 1 + i on side i.
 OUTSIDE = 1
-# # The bits of a 64-bit number besides bit 0 and the sign.
+# The bits of a 64-bit number besides bit 0 and the sign.
 MOST_NAMES = 62
 
 
@@ -157,7 +157,7 @@ class FileSource:
 
 Source = LatticeSource | FileSource
 
-# # The number of samples of codes of each rank, by which ranges of about equal size are chosen.
+# The number of samples of codes of each rank, by which ranges of about equal size are chosen.
 SAMPLES = 128
 
 
@@ -186,7 +186,7 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
         total = int(ranks.sum(len(distinct)))
         return ranks.offset(len(distinct)) + inverse, owner[inverse]
 
-    # # Each rank numbers one range of codes; samples of all codes give the limits of about equal ranges.
+    # Each rank numbers one range of codes; samples of all codes give the limits of about equal ranges.
     shown = codes[np.linspace(0, len(codes) - 1, min(SAMPLES, len(codes))).astype(np.int64)]
     every = np.sort(ranks.gathered(shown))
     limits = every[len(every) * np.arange(1, ranks.size) // ranks.size]
@@ -194,7 +194,7 @@ def number_codes(ranks: Ranks, codes: Index) -> tuple[Index, Index, int]:
     return numbers, owners, total
 
 
-# # The multiplier of a hash (golden ratio), which distributes facets evenly over the ranks.
+# The multiplier of a hash (golden ratio), which distributes facets evenly over the ranks.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 
 

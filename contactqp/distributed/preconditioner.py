@@ -30,7 +30,7 @@ from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Singula
 from contactqp.linalg.v_cycle import HeldLevel, VCycle, held_strength
 from contactqp.model.arrays import Array, Vector
 
-# # The most unknowns of the coarsest level, whose factor is dense and on every rank.
+# The most unknowns of the coarsest level, whose factor is dense and on every rank.
 LARGEST_DENSE = 6000
 
 
@@ -135,20 +135,20 @@ def _whole(ranks: Ranks, matrix: Any) -> sp.csr_matrix:
     return sp.csr_matrix((ranks.gathered(values), columns, whole), shape=matrix.getSize())
 
 
-# # Twice the memory estimated by MUMPS, as its need depends on the order of messages.
+# Twice the memory estimated by MUMPS, as its need depends on the order of messages.
 MUMPS: dict[str, Any] = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100}
-# # The default options of each solver; the user's override them: -contactqp_pc_type, -contactqp_pc_gamg_...
+# The default options of each solver; the user's override them: -contactqp_pc_type, -contactqp_pc_gamg_...
 SOLVERS: dict[str, dict[str, Any]] = {
     "gamg": smoothed_aggregation.OPTIONS,
     "hypre": {"pc_type": "hypre", "pc_hypre_boomeramg_strong_threshold": 0.5},
     "mumps": MUMPS,
 }
-# # PETSc's types that keep no reference to the given matrix; others may point into it.
+# PETSc's types that keep no reference to the given matrix; others may point into it.
 INDEPENDENT = ("hypre", "cholesky")
-# # Up to this many unknowns in space a factorisation is as fast as multigrid, and more accurate.
+# Up to this many unknowns in space a factorisation is as fast as multigrid, and more accurate.
 AUTO, FACTORISED = "auto", 100_000
-# # The relative increase of the diagonal of a floating body, small compared to any deformation's stiffness but large
-# # compared to rounding.
+# The relative increase of the diagonal of a floating body, small compared to any deformation's stiffness but large
+# compared to rounding.
 LIFT = 1e-5
 
 

@@ -37,8 +37,7 @@ class DistributedProblem:
     """The part that one rank has of min 1/2 u'Ku - f'u over E_N u <= g, A u = b, with Coulomb friction on E_T u.
 
     Constrained unknowns keep rows in K with only a positive diagonal, so that nodes remain whole blocks; there the
-    load,
-    the rows and u are zero.
+    load, the rows and u are zero.
 
     Attributes
     ----------
@@ -117,7 +116,7 @@ class DistributedProblem:
 
     @cached_property
     def metric(self) -> Vector:
-        """Return D (n_here,): K_jj, or the largest K_jj for unknowns without stiffness; the first call is collective."""
+        """Return D (n_here,): K_jj, or the largest one for unknowns without stiffness; the first call is collective."""
         largest = self.ranks.max(float(np.max(self.diagonal, initial=0.0))) or 1.0
         return np.where(self.diagonal > 0, self.diagonal, largest)
 
@@ -239,7 +238,7 @@ def _find_floating(problem: DistributedProblem, bodies: Bodies) -> FloatingBodie
         known = np.hstack([known, problem.rigid_motions])
     B = of_size_one(known, problem.ranks.max)
     width = B.shape[1]
-    # # Unknowns without any stiffness float, with an arbitrary metric.
+    # Unknowns without any stiffness float, with an arbitrary metric.
     metric = np.where(problem.diagonal > 0, problem.diagonal, 1.0)
     forces = np.column_stack([problem.product(b) for b in B.T]) if width else B
     sizes = np.zeros((2, len(bodies.numbers), width, width))

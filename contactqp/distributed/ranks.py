@@ -28,7 +28,7 @@ RECIPE = (
     "apt-get install python3-petsc4py python3-mpi4py python3-venv && /usr/bin/python3 -m venv --system-site-packages "
     "petsc && petsc/bin/pip install 'numpy<2' '.[solids]'"
 )
-# # Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, not on the path of that Python.
+# Debian builds petsc4py for the Python of this prefix, and installs it beside PETSc, not on the path of that Python.
 _PREFIX = "/usr"
 _DEBIAN = "/usr/lib/petscdir/petsc*/*-real/lib/python3/dist-packages"
 
@@ -68,8 +68,8 @@ def missing() -> list[str]:
     return [name for name in ("petsc4py", "mpi4py") if importlib.util.find_spec(name) is None]
 
 
-# # Matrices in blocks of three have one column number for nine values, so that products take half the time; but PETSc's
-# # multigrids and factorisations accept only single rows.
+# Matrices in blocks of three have one column number for nine values, so that products take half the time; but PETSc's
+# multigrids and factorisations accept only single rows.
 
 
 def block_matrix(comm: Any, rows: sp.bsr_matrix) -> Any:
@@ -157,9 +157,9 @@ def collect_garbage(comm: Any) -> None:
         cleanup(comm)
 
 
-# # Arrays are sent as bytes, in messages small enough for MPI's 32-bit counts; some transports count bytes.
+# Arrays are sent as bytes, in messages small enough for MPI's 32-bit counts; some transports count bytes.
 MOST_BYTES = 2**30
-# # Marks arrays of Python objects, which cannot be sent as bytes.
+# Marks arrays of Python objects, which cannot be sent as bytes.
 _OBJECTS = -1
 
 T = TypeVar("T")

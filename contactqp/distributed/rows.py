@@ -98,11 +98,10 @@ class Rows:
         return self.assembled(self.sizes.T @ abs(force))
 
 
-# # The rows of a matrix are read in PETSc's memory, as a copy would be as large as the matrix. petsc4py returns entries
-# as
-# # copies only, but the C functions of its library return their addresses.
+# The rows of a matrix are read in PETSc's memory, as a copy would be as large as the matrix. petsc4py returns entries
+# as copies only, but the C functions of its library return their addresses.
 
-# # Rows of blocks copied at a time: about 0.01 GB with the eighty entries per row of bodies in space.
+# Rows of blocks copied at a time: about 0.01 GB with the eighty entries per row of bodies in space.
 AT_A_TIME = 2**12
 
 

@@ -126,7 +126,7 @@ def follow_with_friction(
         if state is None:
             stepper.turn(load, load)
             state = stepper.solve(1.0, origin, np.zeros(len(origin), dtype=bool))
-            # # A closed contact without force is at the problem's slip origin.
+            # A closed contact without force is at the problem's slip origin.
             at_rest = state.touching & ~state.pushes
             anchors = Anchors(np.where(at_rest[:, None], origin, state.position), state.touching)
             stepper.accept(state)
@@ -243,9 +243,9 @@ def _origin(problem: DistributedProblem) -> Array:
     return problem.slip_origin
 
 
-# # The fields of a scene that do not affect its answers.
+# The fields of a scene that do not affect its answers.
 _WORDS = ("title", "source", "about", "expect", "published", "remarks", "study", "report")
-# # Bytes of a digest, enough to exclude collisions, and of a file in memory at once.
+# Bytes of a digest, enough to exclude collisions, and of a file in memory at once.
 _SIZE, _CHUNK = 12, 2**20
 
 

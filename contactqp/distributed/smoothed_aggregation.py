@@ -39,11 +39,11 @@ OPTIONS = {
     "mg_levels_ksp_type": "richardson",
     "mg_coarse_pc_type": "none",
 }
-# # Aggregates of the finest level consist of neighbours of neighbours.
+# Aggregates of the finest level consist of neighbours of neighbours.
 AGGRESSIVE = "pc_gamg_aggressive_coarsening"
-# # The number for no aggregate.
+# The number for no aggregate.
 NONE = -1
-# # A motion whose square is reduced to at most this part by the others of an aggregate counts as dependent on them.
+# A motion whose square is reduced to at most this part by the others of an aggregate counts as dependent on them.
 SAME_MOTION = 1e-13
 
 
@@ -170,7 +170,7 @@ def _orthonormal(gram: Array) -> Array:
     return W
 
 
-# # Unknowns of the coarsest level, whose dense factor is on every rank and partly updated for every contact set.
+# Unknowns of the coarsest level, whose dense factor is on every rank and partly updated for every contact set.
 COARSEST = 600
 
 
@@ -210,7 +210,7 @@ def smoothed_levels(
             T, B = tentative(ranks, found, B, stored.size)
             level, matrix = smoothed_level(ranks, matrix, stored, T, D)
         levels.append(level)
-        # # Coarse unknowns of dependent motions have zero rows, and get a diagonal of one.
+        # Coarse unknowns of dependent motions have zero rows, and get a diagonal of one.
         D = np.array(matrix.getDiagonal().array)
         D[D <= 0] = 1.0
     return levels, matrix

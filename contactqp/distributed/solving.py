@@ -48,9 +48,8 @@ from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, algorithm_name, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
 
-# # The energy error relative to the energy of the contact forces: on any number of ranks the displacement agrees with
-# that
-# # of one process to 1e-9 in energy; single very soft unknowns may differ by more, relative to their own size.
+# The energy error relative to the energy of the contact forces: on any number of ranks the displacement agrees with
+# that of one process to 1e-9 in energy; single very soft unknowns may differ by more, relative to their own size.
 ENERGY = 1e-10
 
 
@@ -211,11 +210,11 @@ def _certified(
     return DistributedSolution(problem, answer, status, certificate, method, seconds, seconds, work, motions)
 
 
-# # The fields of violations with one entry per unknown; "tie" has one per tie, the others one per contact.
+# The fields of violations with one entry per unknown; "tie" has one per tie, the others one per contact.
 _OF_UNKNOWNS = ("equilibrium", "residual", "meeting")
-# # The options of `solve` for one process only, with their default values.
+# The options of `solve` for one process only, with their default values.
 _OF_ONE_PROCESS = {"condense": "auto", "polish": True}
-# # The options of `solve_distributed`, with a distributed warm start.
+# The options of `solve_distributed`, with a distributed warm start.
 _OPTIONS = ("tolerance", "solver", "time_limit", "max_iter")
 
 

@@ -105,8 +105,7 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
 
 def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
     """Return the forces and lengths that are negligible compared to the intrinsic size, as
-    `contactqp.linalg.measures.nothing`
-    does. Collective.
+    `contactqp.linalg.measures.nothing` does. Collective.
     """
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
     if problem.ranks.any(elastic is not u):
@@ -250,7 +249,7 @@ def _hardly_felt(problem: DistributedProblem) -> Mask:
     if rows is None or problem.slip_origin is None:
         return np.zeros(problem.contacts, dtype=bool)
     across = bare_infinite(rows.entries, row_sizes(problem, rows).compliance, rows.at_touched(problem.diagonal))
-    # # Only unknowns touched by normal and tangential rows count.
+    # Only unknowns touched by normal and tangential rows count.
     both = np.isin(normal.touched, rows.touched)
     place = np.searchsorted(rows.touched, normal.touched[both], sorter=(order := np.argsort(rows.touched)))
     pick = sp.csr_array((np.ones(len(place)), (np.flatnonzero(both), order[place])), (len(both), len(rows.touched)))

@@ -112,8 +112,8 @@ def refined(state: ClosedState, effort: Effort) -> ClosedState:
     """Return a state in which contacts also carry the residual of a state, if there is one.
 
     At a degenerate vertex forces far below the largest determine the closed contacts, which neither an interior point
-    nor a linear program in the units of the problem resolves. In units d of the residual
-    r = f - K u - E'l - A'nu and D of a length, the change v of u solves
+    nor a linear program in the units of the problem resolves. In units d of the residual r = f - K u - E'l - A'nu and D
+    of a length, the change v of u solves
 
         minimise  -(r + E_w' l_w)' v / d    subject to    E_s v = (g - E u)_s / D,    E_w v <= (g - E u)_w / D,
                                                           A v = (b - A u) / D,    |v_j| <= FARTHEST, d / (D K_jj)

@@ -1,1 +1,1 @@
-"""Exact and enclosed answers, other people's answers judged in words, and problems whose answers are known."""
+"""Compute exact and enclosed answers, diagnose foreign answers in words, and provide problems with known answers."""

@@ -1,4 +1,4 @@
-"""Assertions for the tests of a contact code; a failure is explained in words, with the right values."""
+"""Assertions for the tests of a contact code; failures are explained in words, with the right values."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from contactqp.oracle.foreign.judging import GivenAnswer, aligned, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify, read_given
 
-# The answer that given numbers are held against: exact where it is known, else a certified solution.
+# The answer for comparison: exact if it is known, else a certified solution.
 
 
 @dataclass(frozen=True, eq=False)
 class Reference(HoldsAnswer):
-    """A right answer, and whether it is the only one."""
+    """A right answer, and whether it is unique."""
 
     problem: ContactProblem
     name: str
@@ -38,7 +38,7 @@ class Reference(HoldsAnswer):
 
     @property
     def length(self) -> float:
-        """Return the length that displacements are compared with [length]; 0 where all lengths vanish."""
+        """Return the reference length of displacements [length], 0 if all lengths vanish."""
         problem = self.problem
         origin = np.zeros(0) if problem.slip_origin is None else problem.slip_origin.ravel()
         moved = largest_of(self.displacement)
@@ -46,9 +46,7 @@ class Reference(HoldsAnswer):
 
     @property
     def force(self) -> float:
-        """Return the force that forces are compared with: the largest that a contact or tie puts on an unknown, else
-        the load.
-        """
+        """Return the reference force: the largest nodal force of a contact or tie, else the load."""
         parts = [weights(self.problem.normal) * abs(self.normal_force), weights(self.problem.tie) * abs(self.tie_force)]
         if self.friction_force is not None:
             parts.append(weights(self.problem.tangent) * abs(self.friction_force).ravel())
@@ -56,7 +54,7 @@ class Reference(HoldsAnswer):
 
     @property
     def resultant(self) -> Vector:
-        """Return E_N'l_N + E_T'l_T + A'nu (n,): what all forces together do to the bodies [force]."""
+        """Return the nodal forces E_N'l_N + E_T'l_T + A'nu (n,) [force]."""
         problem = self.problem
         total = problem.normal.T @ self.normal_force + problem.tie.T @ self.tie_force
         if problem.tangent is not None and self.friction_force is not None:
@@ -65,7 +63,7 @@ class Reference(HoldsAnswer):
 
 
 def weights(rows: Any) -> Vector:
-    """Return max_j |E_ij| of every row (m,): times a multiplier it is the largest force that it puts on an unknown."""
+    """Return max_j |E_ij| of every row (m,), the largest nodal force for a multiplier of one."""
     return np.asarray(abs(rows).max(axis=1).toarray()).ravel() if rows.shape[0] else np.zeros(0)
 
 
@@ -95,7 +93,7 @@ def known_reference(known: GalleryProblem) -> Reference:
 def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
     """Return a certified solution, of several the one nearest to an answer.
 
-    Raises ContactQPError: there is none, or none was found.
+    Raises ContactQPError: none exists, or none was found.
     """
     found = right_answer(problem, answer)
     sliding = found.contact_status == "slip"
@@ -113,16 +111,16 @@ def solved_reference(problem: ContactProblem, answer: Answer) -> Reference:
 
 
 def largest_of(values: Vector) -> float:
-    """Return the largest absolute value, and 0 of no values."""
+    """Return the largest absolute value, 0 for no values."""
     return float(np.max(abs(values), initial=0.0))
 
 
-# How far given numbers are from the right ones: component by component, or by what the forces do together.
+# Deviations of given numbers from the right ones, by components or by nodal forces.
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """One number that is wrong; `size` is relative to the largest right one of its kind."""
+    """One wrong number; `size` is its error relative to the largest right one of its kind."""
 
     what: str
     where: str
@@ -132,7 +130,7 @@ class Deviation:
 
 
 def displacement_deviations(reference: Reference, displacement: Vector, rtol: float) -> list[Deviation]:
-    """Return unknowns that are off by more than rtol times the largest displacement; none where that is zero."""
+    """Return unknowns with errors above rtol times the largest displacement, none if that is zero."""
     if not reference.one_displacement or not reference.length > 0:
         return []
     problem = reference.problem
@@ -146,10 +144,10 @@ def force_deviations(
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:
-    """Return forces further than rtol times the largest one from the right ones.
+    """Return forces with errors above rtol times the largest one.
 
-    A multiplier is measured by the largest force that it puts on an unknown, max_j |E_ij| |l_i|: scaling a row changes
-    nothing. Where forces are not unique, what they do together is compared instead: `resultant_deviations`.
+    A multiplier is measured by its largest nodal force max_j |E_ij| |l_i|, which is independent of the scale of the
+    row. If forces are not unique, their resultants are compared instead (`resultant_deviations`).
 
     Parameters
     ----------
@@ -183,10 +181,10 @@ def resultant_deviations(
     tie_force: Vector | None,
     rtol: float,
 ) -> list[Deviation]:
-    """Return what is wrong with forces that are one answer among others.
+    """Return the errors of forces that need not be unique.
 
-    Right are all that do the same together, E_N'l_N + E_T'l_T + A'nu, that pull nowhere and push at no open contact,
-    and that obey Coulomb's law. Tie forces that were not given may be any.
+    All forces are right that have the same nodal forces E_N'l_N + E_T'l_T + A'nu, no tension, no force at open
+    contacts, and obey Coulomb's law. Tie forces that were not given are arbitrary.
 
     Parameters
     ----------
@@ -219,12 +217,12 @@ def resultant_deviations(
     return found + _beyond("resultant", problem.dof_name, right + change, right, together, rtol)
 
 
-# Deviations that a message lists.
+# The number of deviations listed in a message.
 MOST_LISTED = 10
 
 
 def deviations_table(found: list[Deviation], force: str = "", length: str = "") -> str:
-    """Return the largest deviations as text, the largest first."""
+    """Return the largest deviations as text in descending order."""
     units = {"displacement": length}
     lines = [["where", "what", "given", "right", "relative"]]
     for one in sorted(found, key=lambda one: -one.size if one.size == one.size else -np.inf)[:MOST_LISTED]:
@@ -240,7 +238,7 @@ def _relative(size: Vector, scale: float) -> Vector:
 
 
 def _beyond(what: str, called: Callable[[int], str], given: Any, right: Any, size: Any, rtol: float) -> list[Deviation]:
-    """Return the entries whose difference times `size` is larger than rtol, or no number."""
+    """Return the entries whose difference times `size` is larger than rtol or not a number."""
     given, right = np.asarray(given, dtype=float), np.asarray(right, dtype=float)
     apart = abs(given - right)
     relative = np.where(apart > 0, apart, 0.0) * np.broadcast_to(size, apart.shape) if apart.size else apart
@@ -251,7 +249,7 @@ def _beyond(what: str, called: Callable[[int], str], given: Any, right: Any, siz
     ]
 
 
-# Longest line of a diagnosis.
+# The longest line of a diagnosis.
 WIDTH = 110
 
 
@@ -326,12 +324,12 @@ def assert_multipliers(
     pressure_area: ArrayLike | None = None,
     contact_map: Any = None,
 ) -> None:
-    """Assert that contact forces alone are right: those of the exact answer, or of a certified solution.
+    """Assert that contact forces are those of the exact answer, or of a certified solution.
 
-    Where forces are not unique (redundant contacts), right are all that act on the bodies together as the right ones
-    do, E_N'l_N + E_T'l_T + A'nu within rtol times its largest entry, and that to the same size pull nowhere, push at no
-    contact that is open and obey Coulomb's law. Where friction allows several answers, or may, the forces are judged
-    by the displacements that they make. Friction and tie forces that are not given are not compared.
+    If forces are not unique (redundant contacts), all are right that have the same nodal forces E_N'l_N + E_T'l_T +
+    A'nu, within rtol times the largest entry, and to the same accuracy no tension, no force at open contacts, and obey
+    Coulomb's law. If friction may allow several answers, the forces are judged by their displacements. Friction and tie
+    forces that are not given are not compared.
 
     Parameters
     ----------
@@ -349,7 +347,7 @@ def assert_multipliers(
     InvalidProblem
         The arguments are no forces of this problem.
     ContactQPError
-        The problem is not in the gallery and no right answer was found to compare with.
+        The problem is not in the gallery, and no right answer was found for comparison.
 
     Examples
     --------
@@ -372,7 +370,7 @@ def assert_multipliers(
 
 
 def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **given: Any) -> str | None:
-    """Return what `assert_contact_solution` says of an answer, given as to it; None where it is right."""
+    """Return the message of `assert_contact_solution` for the same arguments, None if the answer is right."""
     refuse_not_positive("rtol", rtol)
     judged = certify(plain_problem(problem), **given, tolerance=rtol, error_tolerance=rtol)
     if not judged.passed:
@@ -388,12 +386,12 @@ def solution_fault(problem: ContactProblem | GalleryProblem, rtol: float, **give
 
 @own_floating_point
 def multiplier_fault(problem: ContactProblem | GalleryProblem, rtol: float, **parts: Any) -> str | None:
-    """Return what `assert_multipliers` says of forces, given as to it; None where they are right."""
+    """Return the message of `assert_multipliers` for the same arguments, None if the forces are right."""
     refuse_not_positive("rtol", rtol)
     plain = plain_problem(problem)
     if parts["normal_force"] is None:
         raise InvalidProblem("assert_multipliers: expected normal_force, one a contact, got None")
-    # No displacement is looked at; with zeros for it friction may be missing.
+    # Displacements are not judged; with zeros for them, friction may be missing.
     given = read_given(plain, np.zeros(plain.dimension), **parts)
     reference = _reference(problem, given)
     if plain.frictional and not reference.one_displacement:
@@ -423,15 +421,15 @@ def _reference(problem: ContactProblem | GalleryProblem, given: GivenAnswer) -> 
 def _of_forces(
     problem: ContactProblem, reference: Reference, forces: tuple[Any, Any, Any], rtol: float
 ) -> JudgedAnswer:
-    """Judge forces by themselves: a cause must not rest on displacements that were not given."""
+    """Judge forces only, as displacements that were not given must not affect the causes."""
     try:
         return certify(problem, None, *forces, rtol, rtol)
-    except Unsupported:  # too large for displacements to be found from forces
+    except Unsupported:  # too large for computing displacements from forces
         return certify(problem, reference.displacement, *forces, rtol, rtol)
 
 
 def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: GivenAnswer, rtol: float) -> str | None:
-    """Judge forces of a problem with several answers, which are right if the displacements that they make are."""
+    """Judge forces of a problem with several answers by the displacements that they cause."""
     if given.friction_force is None:
         raise Unsupported(
             "assert_multipliers: friction may allow several answers here, normal forces alone do not tell which; give "
@@ -444,7 +442,7 @@ def _judged_by_displacements(problem: ContactProblem | GalleryProblem, given: Gi
 
 
 def _refused(problem: ContactProblem | GalleryProblem, judged: JudgedAnswer, rtol: float) -> str:
-    """Return the diagnosis of an answer that the certificate refuses."""
+    """Return the diagnosis of an answer refused by the certificate."""
     lines = [f"{name_of(problem)}: the answer is wrong (rtol {rtol:g})", _in_words(judged)]
     if judged.contacts:
         lines.append(judged.table(10))
@@ -458,7 +456,7 @@ def _off(
     why: str,
     judged: JudgedAnswer | None = None,
 ) -> str:
-    """Return the table of numbers that are not the right ones, and a diagnosis where there is one."""
+    """Return the table of wrong numbers, and a diagnosis if there is one."""
     units = plain_problem(problem).units
     lines = [f"{name_of(problem)}: {why} (rtol {rtol:g})"]
     if judged is not None and not judged.passed:

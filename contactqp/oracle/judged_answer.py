@@ -1,4 +1,4 @@
-"""An answer of another code, read and judged: the certificate, and beside it what the certificate alone cannot say.
+"""Read and judge an answer of another code: the certificate, the right values, and the causes of errors.
 
 Numbers are read in the order, the signs and the units that are stated:
 
@@ -6,10 +6,10 @@ Numbers are read in the order, the signs and the units that are stated:
     l_N,i = (+ or -) given normal force at contact_map[i], times pressure_area[i] where it is a pressure
     l_T,i = given friction force at contact_map[i], times pressure_area[i] where it is a traction
 
-The sign of friction is not turned: l_T is what the body does to the obstacle, along its own slip.
+The sign of friction is unchanged: l_T is the force of the body on the obstacle, along its slip.
 
-The certificate is computed from the problem and the answer; nothing here changes its verdict. What is wrong at which
-contact, what is right there and why it may have gone wrong takes a solution, which is computed when first asked for.
+The certificate is computed from the problem and the answer, and nothing else changes its verdict. Wrong contacts with
+their right values, and causes, need a solution, which is computed at the first use.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from contactqp.oracle.foreign.judging import (
 )
 
 COMPRESSION = {"positive": 1.0, "negative": -1.0}
-# Names listed in a message before it says how many more there are.
+# The most names listed in a message, before the number of others.
 LISTED = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class JudgedAnswer(Certificate):
-    """The certificate of a given answer, and what went wrong with it in words.
+    """The certificate of a given answer, and the causes of its errors in words.
 
-    `right`, `contacts`, `findings` and `diagnosis` are computed when first looked at; they may solve the problem.
-    Printing does not: it says what is violated, and where the rest is.
+    `right`, `contacts`, `findings` and `diagnosis` are computed at their first use, which may solve the problem.
+    Printing does not solve it, and lists violations only.
     """
 
     problem: ContactProblem = field(repr=False)
-    given: GivenAnswer = field(repr=False)  # what came, in the problem's order, signs and units
-    answer: Answer = field(repr=False)  # what was judged: what came and what was recovered from it
+    given: GivenAnswer = field(repr=False)  # the given parts in the problem's order, signs and units
+    answer: Answer = field(repr=False)  # the judged answer: given and recovered parts
     recovered: tuple[str, ...] = ()
 
     @cached_property
@@ -73,18 +73,18 @@ class JudgedAnswer(Certificate):
 
     @property
     def right(self) -> Solution | None:
-        """Return the right solution; None where there is none or none was found, and `why_not` says why."""
+        """Return the right solution, None if none exists or none was found (see `why_not`)."""
         return self._found[0]
 
     @property
     def why_not(self) -> str | None:
-        """Return why there is no right solution to set beside the answer; None where there is one."""
+        """Return the reason why there is no right solution for comparison, None if there is one."""
         return self._found[1]
 
     @cached_property
     @own_floating_point
     def contacts(self) -> tuple[JudgedContact, ...]:
-        """Return the wrong contacts, worst first, beside the right values; empty where the answer passed."""
+        """Return the wrong contacts with their right values, worst first; empty if the answer passed."""
         if self.passed:
             return ()
         return judged_contacts(self.problem, self.answer, self, self.right)
@@ -92,30 +92,30 @@ class JudgedAnswer(Certificate):
     @cached_property
     @own_floating_point
     def findings(self) -> tuple[Finding, ...]:
-        """Return what is wrong with the answer, causes first; empty where it passed.
+        """Return the findings on the answer, causes first; empty if it passed.
 
-        Other questions that it may be the right answer to may take 1e9 operations, about a second, or as many as the
-        right answer; a finding says which were left unasked.
+        Solving other questions may take 1e9 operations, about a second, or as many as the right answer; a finding names
+        those not examined.
         """
         return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right)
 
     @own_floating_point
     def findings_within(self, operations: float) -> tuple[Finding, ...]:
-        """Return what `findings` are with so many operations for other questions, 1e9 of them about a second.
+        """Return the `findings` with so many operations for other questions; 1e9 take about a second.
 
-        Operations are predicted, not timed: the findings do not depend on the machine.
+        Operations are predicted, not timed, so that the findings do not depend on the machine.
 
         Raises
         ------
         InvalidProblem
-            The operations are no positive number.
+            The operations are not a positive number.
         """
         refuse_not_positive("operations", operations)
         return () if self.passed else diagnose(self.problem, self.given, self.answer, self, self.right, operations)
 
     @property
     def diagnosis(self) -> str:
-        """Return in one paragraph what is wrong with the answer."""
+        """Return the findings on the answer as one paragraph."""
         return paragraph(self, self.problem, self.findings, self.contacts, None if self.passed else self.why_not)
 
     @checked
@@ -145,15 +145,15 @@ def certify(
     dof_map: Any = None,
     contact_map: Any = None,
 ) -> JudgedAnswer:
-    """Judge anyone's answer to a problem, in any order and with any sign of compression, which are stated.
+    """Judge an answer of any origin, with a stated order and sign of compression.
 
-    Displacements alone, forces alone or both: what is missing is recovered from the rest and named in `recovered` and
-    in the notes. Friction alone may be missing only where displacements are given.
+    Displacements, forces or both are given; missing parts are recovered from the others and named in `recovered` and in
+    the notes. Friction may be missing only if displacements are given.
 
     With friction the law itself is judged, in the plane and in space: |l_T| <= mu l_N, l_T = mu l_N s/|s| where it
-    slips. Another law's answer, such as that of the associated relaxation, is refused. Errors are bounded where
-    friction is small enough for one answer, or of the equilibrium nearby (`scope`); the certificate also says whether
-    other answers exist, as far as that can be told.
+    slips. The answer of another law, such as that of the associated relaxation, is refused. Errors are bounded if
+    friction is small enough for a unique answer, or relative to the equilibrium nearby (`scope`); the certificate also
+    states, as far as possible, whether other answers exist.
 
     Parameters
     ----------
@@ -185,8 +185,8 @@ def certify(
         Neither displacement nor normal force, wrong shapes or maps, or an indefinite stiffness. NaN is no error here:
         it fails.
     Unsupported
-        A body that is too large to factorise floats along motions that nobody has stated, or forces alone are given and
-        it is.
+        A body too large to factorise floats along motions that are not stated, or only forces are given for such a
+        body.
 
     Examples
     --------
@@ -239,10 +239,10 @@ def read_given(
     dof_map: Any = None,
     contact_map: Any = None,
 ) -> GivenAnswer:
-    """Read what was given, `cq.certify` says how.
+    """Read the given parts; parameters are those of `cq.certify`.
 
     Raises InvalidProblem: neither displacement nor normal force, wrong shapes, areas that are not positive, a map that
-    names an unknown or contact twice or not at all, another word for `compression`.
+    names an unknown or contact twice or not at all, an unknown word for `compression`.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def read_given(
 
 
 def _complete(problem: ContactProblem, given: GivenAnswer) -> Answer | None:
-    """Return the answer of which all parts were given that the problem has; None where one has to be recovered."""
+    """Return the answer if all parts were given, None if one has to be recovered."""
     u, force, friction, tie = given.displacement, given.normal_force, given.friction_force, given.tie_force
     if u is None or force is None or tie is None or (friction is None and problem.slip_origin is not None):
         return None
@@ -321,13 +321,13 @@ def _places(
     kind: str,
     called: Callable[[int], str],
 ) -> Indices | None:
-    """Return the place (count,) of each unknown or contact of the problem in what was given."""
+    """Return the index (count,) of each unknown or contact of the problem in the given arrays."""
     if value is None:
         return None
     try:
         if isinstance(value, str) or sp.issparse(value):
             raise TypeError("no list")
-        entries = list(islice(value, count + 1))  # some have no end
+        entries = list(islice(value, count + 1))  # iterators may be infinite
     except Exception as error:  # noqa: BLE001  whatever an object says of itself
         raise InvalidProblem(f"{name}: expected {count} integers or names, got {shown(value)} ({error})") from None
     if entries and all(isinstance(one, str) for one in entries):
@@ -379,7 +379,7 @@ def _picked(name: str, value: Any, count: int, places: Indices | None, notes: li
 
 
 def _refuse_short(name: str, shape: tuple[int, ...], places: Indices, order: Any) -> None:
-    """Raise unless what was given is as long as its map says."""
+    """Raise InvalidProblem unless the given array is as long as its map requires."""
     by_name = len(places) > 0 and isinstance(next(iter(order)), str)
     least = len(list(order)) if by_name else int(np.max(places, initial=-1)) + 1
     if not shape or (shape[0] != least if by_name else shape[0] < least):

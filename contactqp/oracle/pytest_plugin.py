@@ -1,6 +1,6 @@
-"""The pytest plugin: the fixture `contact_oracle` and the mark `contact_gallery`.
+"""Provide the pytest plugin with the fixture `contact_oracle` and the mark `contact_gallery`.
 
-Loaded in every run of pytest where contactqp is installed, so it imports nothing before a test asks for it.
+It is loaded in every run of pytest if contactqp is installed, and therefore imports nothing until a test uses it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ARGUMENT = "contact_problem"
 
 
 class ContactOracle:
-    """What `contactqp.testing` has, and `certify`, for tests that take the fixture `contact_oracle`."""
+    """The functions of `contactqp.testing`, and `certify`, for tests with the fixture `contact_oracle`."""
 
     def problem(self, name: str) -> GalleryProblem:
         """Return the problem of the gallery with this name."""
@@ -48,13 +48,13 @@ class ContactOracle:
         return problems(kind, difficulty, count, seed)
 
     def certify(self, problem: Any, *answer: Any, **options: Any) -> JudgedAnswer:
-        """Certify an answer as `contactqp.certify` does, also to a problem of the gallery."""
+        """Certify an answer as `contactqp.certify`, also for a problem of the gallery."""
         from contactqp.oracle.judged_answer import certify
 
         return certify(getattr(problem, "problem", problem), *answer, **options)
 
     def crosscheck(self, path: Any, results: Any = None, **options: Any) -> CrossCheck:
-        """Judge the contact of a CalculiX deck as `contactqp.crosscheck` does; `assert` fails where it is wrong."""
+        """Judge the contact of a CalculiX deck as `contactqp.crosscheck`; `assert` fails if it is wrong."""
         from contactqp.oracle.foreign.crosscheck import crosscheck
 
         return crosscheck(path, results, **options)
@@ -88,7 +88,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def contact_oracle() -> ContactOracle:
-    """Provide problems with exact answers, and assertions that say what is wrong with one: see contactqp.testing."""
+    """Provide problems with exact answers, and assertions that explain wrong answers: see contactqp.testing."""
     return ContactOracle()
 
 
@@ -106,7 +106,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         return
     where = f"{metafunc.definition.nodeid}: contact_gallery: "
     if ARGUMENT not in metafunc.fixturenames:
-        # Of a marked class some tests may take none.
+        # In a marked class some tests may not use the fixture.
         if mark in getattr(metafunc.function, "pytestmark", []):
             pytest.fail(f"{where}the test takes no argument {ARGUMENT!r}", pytrace=False)
         return
@@ -116,7 +116,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         chosen = _chosen(*mark.args, **mark.kwargs)
     except (TypeError, ValueError) as error:
         fault = error
-    if fault is not None:  # out here, so that pytest shows no chain of exceptions
+    if fault is not None:  # outside of the handler, so that pytest shows no chain of exceptions
         pytest.fail(f"{where}{fault}", pytrace=False)
     metafunc.parametrize(ARGUMENT, chosen, ids=[exact.name for exact in chosen])
 

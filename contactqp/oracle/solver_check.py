@@ -1,4 +1,4 @@
-"""A solver of another code on the gallery: one verdict a problem, and a table of them."""
+"""Run a solver of another code on the gallery, with one verdict per problem and a table."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ VERDICTS = ("right", "wrong", "failed")
 
 @dataclass(frozen=True)
 class SolverVerdict:
-    """What became of one problem: "right", "wrong" (an answer was returned and is not), "failed" (it raised)."""
+    """The verdict on one problem: "right", "wrong" (a wrong answer was returned), "failed" (it raised)."""
 
     name: str
     kind: str
     difficulty: str
     verdict: str
-    why: str  # empty where it is right
+    why: str  # empty if right
     seconds: float  # of the solver
 
 
 @dataclass(frozen=True)
 class SolverReport:
-    """The verdicts on a solver; as text it is their table."""
+    """The verdicts on a solver, printed as a table."""
 
     verdicts: tuple[SolverVerdict, ...]
 
@@ -44,11 +44,11 @@ class SolverReport:
 
     @property
     def wrong(self) -> tuple[SolverVerdict, ...]:
-        """Return the verdicts on answers that claimed to be right and are not."""
+        """Return the verdicts on wrong answers."""
         return tuple(one for one in self.verdicts if one.verdict == "wrong")
 
     def table(self) -> str:
-        """Return one line a problem, then how many of each verdict."""
+        """Return one line per problem, then the number of each verdict."""
         lines = [["problem", "difficulty", "verdict", "seconds", ""]]
         for one in self.verdicts:
             first = one.why.splitlines()[:2]
@@ -106,7 +106,7 @@ def _verdict(
     if answer is not None:
         try:
             fault = solution_fault(exact, rtol, **_parts(answer), compression=compression)
-        except ContactQPError as error:  # shapes that do not fit, nothing returned
+        except ContactQPError as error:  # wrong shapes, or nothing returned
             fault = f"{exact.name}: {error}"
         verdict, why = ("right", "") if fault is None else ("wrong", fault)
     elif not why:
@@ -115,7 +115,7 @@ def _verdict(
 
 
 def _parts(answer: Any) -> dict[str, Any]:
-    """Return displacement and forces, by their names, of what a solver returned."""
+    """Return displacement and forces by name from a solver's result."""
     if isinstance(answer, Mapping):
         unknown = sorted(set(map(str, answer)) - set(ANSWER_PARTS))
         if unknown:

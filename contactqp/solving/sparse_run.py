@@ -91,7 +91,7 @@ INFEASIBLE = "nfeasible"
 # solves the equilibrated problem and is not run again after condensed systems have failed.
 ENDS_PROCESSES = ("qpalm",)
 SYSTEMS_OF_ONE = 1000  # steps of refinement for a method with a single answer
-# # The search ends at this residual relative to the forces that meet; other constraints balance the rest.
+# The search ends at this residual relative to the forces that meet; other constraints balance the rest.
 ENOUGH = 1e-18
 # Unit weights with products E'w below this, and unit motions with products E z below this, may be a ray.
 NEARLY = 1e-5

@@ -1,1 +1,1 @@
-"""What went wrong with an answer, in words: one family of causes a module."""
+"""Find the cause of a wrong answer and describe it in words, with one family of causes per module."""

@@ -1,12 +1,12 @@
-"""What went wrong with an answer, in words: hypotheses that explain all of it, else what it violates.
+"""Find the mistake that explains a wrong answer, else list what it violates, in words.
 
-A hypothesis is tested against the problem and the right answer: undone, the answer must be right, or nearer to right by
-two digits; or it must be the right answer to the other question that is named. The families are asked in turn, those
-that take no solution first, and the first that explains the answer is believed: within it the best explanation, and
-any other that is as good. Where none does but a factor without a name, a sign or a unit may hide another mistake.
+A hypothesis is tested with the problem and the right answer: with the mistake undone, the answer must be right, or more
+accurate by two digits; or it must be the right answer to another, named problem. Families of hypotheses are tested in
+turn, those that need no solution first; of the first family that explains the answer, the best explanation and all
+equally good ones are returned. If only an unnamed factor explains it, a sign or a unit may hide another mistake.
 
-One family is another question rightly answered: gaps, contacts, ties, loads or friction that were left out or taken
-otherwise. Each of its hypotheses is a problem of its own, solved and held against what was given.
+One family consists of right answers to another question: gaps, contacts, ties, loads or friction omitted or
+changed. Each of its hypotheses is another problem, which is solved and compared with the given answer.
 """
 
 from __future__ import annotations
@@ -38,40 +38,41 @@ from contactqp.oracle.foreign.judging import (
 )
 from contactqp.solving.solve import solve
 
-# Larger problems are not solved again for a hypothesis; those of other rows, which take a factorisation, even less.
+# Larger problems are not solved again for a hypothesis; the second limit is for other rows, which need a
+# factorisation.
 LARGEST, LARGEST_OF_OTHER_ROWS, MOST_CONTACTS = 200_000, 60_000, 1500
 
 
 class Question(NamedTuple):
-    """Another problem, and what answering it instead would be called."""
+    """Another problem, and the finding if the answer is its solution."""
 
     kind: str
     text: str
     problem: ContactProblem
-    kept: Indices | None = None  # its contacts among those of the problem; None: all
-    ties: int = 0  # how many of its first ties are contacts held both ways
-    held: Indices | None = None  # which these are
+    kept: Indices | None = None  # its contacts among those of the problem, None for all
+    ties: int = 0  # how many of its first ties are bilateral contacts
+    held: Indices | None = None  # the numbers of these contacts
 
 
 def too_large(problem: ContactProblem) -> bool:
-    """Return whether some other questions are left unasked."""
+    """Return whether the problem is too large for some other questions."""
     return problem.dimension > LARGEST_OF_OTHER_ROWS or problem.contacts > MOST_CONTACTS
 
 
 def other_rows(problem: ContactProblem, question: Question) -> bool:
-    """Return whether a question needs a factorisation of its own."""
+    """Return whether a question needs another factorisation."""
     return question.kept is not None or question.problem.ties != problem.ties
 
 
-# Operations that a question takes however small it is, for each entry of the stiffness, for each cube of the condensed
-# rows, and where no answer is found: 1e9 take about a second.
+# Operations of any question, per entry of the stiffness, per cube of the condensed rows, and if no answer is found;
+# 1e9 take about a second.
 CALL, PER_ENTRY, PER_CUBE, HOPELESS = 1e7, 200.0, 5.0, 6e8
-# Steps of an algorithm, and combinations of states, that a question with friction is worth.
+# Limits for questions with friction: steps of an algorithm, and combinations of states.
 STEPS_WITH_FRICTION = 20
 
 
 def predicted_operations(problem: ContactProblem, factorised: bool) -> float:
-    """Return what solving a problem is predicted to take, its factorisation included or shared with another's."""
+    """Return the predicted operations of solving a problem, with or without its factorisation."""
     rows = problem.contacts + problem.ties
     if problem.frictional and problem.slip_origin is not None:
         rows += problem.slip_origin.size
@@ -81,7 +82,7 @@ def predicted_operations(problem: ContactProblem, factorised: bool) -> float:
 
 
 def other_questions(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield the questions whose right answer was given."""
+    """Yield explanations by other questions whose right answer was given."""
     problem = evidence.problem
     if problem.dimension > LARGEST or problem.contacts > MOST_CONTACTS or iterated(problem):
         return
@@ -96,7 +97,7 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
             continue
         evidence.effort.spent += predicted_operations(question.problem, other_rows(problem, question))
         answer = _answered(problem, question)
-        if isinstance(answer, ContactQPError):  # absence is proven soon without friction; all else was tried in vain
+        if isinstance(answer, ContactQPError):  # without friction absence is proven soon; otherwise all attempts failed
             proven = isinstance(answer, NoEquilibrium) and not question.problem.frictional
             evidence.effort.spent += 0.0 if proven else HOPELESS
             continue
@@ -106,10 +107,11 @@ def other_questions(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def balance(evidence: Evidence) -> tuple[Vector, Vector, float]:
-    """Return D = 1/sqrt(K_jj), D times the load (n,) that a complete answer balances, and how near to it loads must be.
+    """Return D = 1/sqrt(K_jj), D times the load (n,) balanced by a complete answer, and the largest distance of other
+    loads.
 
-    |D r| <= |D K D| |D^-1 du| + sum |D E'dl|, all of them largest entries; what is near enough to be an explanation has
-    D^-1 du and the forces within LEFT of theirs. Every load is near where a part of the answer was not given.
+    |D r| <= |D K D| |D^-1 du| + sum |D E'dl| in largest entries; an explanation has D^-1 du and forces within LEFT of
+    the answer's. Every load is near enough if a part of the answer was not given.
     """
     problem, given, D = evidence.problem, evidence.given, unknown_scale(evidence.problem)
     if evidence.recovered or given.displacement is None:
@@ -133,7 +135,9 @@ def balance(evidence: Evidence) -> tuple[Vector, Vector, float]:
 
 
 def _answered(problem: ContactProblem, question: Question) -> Answer | ContactQPError:
-    """Return the right answer to the other question, as one to this problem, or why there is none; found once."""
+    """Return the (cached) right answer to the other question as one to this problem, or the reason why there is
+    none.
+    """
     answers = held_against(problem).others
     key = (question.text, *(None if which is None else which.tobytes() for which in (question.kept, question.held)))
     if key not in answers:
@@ -172,7 +176,7 @@ def _ties(problem: ContactProblem, found: Solution, skipped: int) -> Array:
 
 def _questions(evidence: Evidence) -> Iterator[Question]:
     problem, gap = evidence.problem, evidence.problem.gap
-    closing = np.isfinite(gap)  # the others never close, whatever is done to their gaps
+    closing = np.isfinite(gap)  # the others never close, for any change of gaps
     if np.any(gap[closing] != 0):
         without = problem.replace(gap=np.where(closing, 0.0, gap))
         yield Question("gap-ignored", "it is the right answer without the initial gaps", without)
@@ -180,7 +184,7 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
         yield Question("gap-sign", text, problem.replace(gap=np.where(closing, -gap, gap)))
         found = evidence.certificate.violations
         pushes = found is not None and bool(np.any(found.force_measure > evidence.certificate.tolerance))
-        # Without any force large gaps are no contact at all.
+        # Without any force, large gaps are the same as no contact.
         for factor in (1e3, 1e-3) if pushes else ():
             text = f"it is the right answer with the initial gaps {factor:g} times as large: in another unit?"
             yield Question("gap-unit", text, problem.replace(gap=factor * gap))
@@ -208,7 +212,7 @@ def _questions(evidence: Evidence) -> Iterator[Question]:
 
 
 def _without_contacts(evidence: Evidence) -> Iterator[Question]:
-    """Yield questions: is it right without any contact, is it without those that penetrate and do not push?"""
+    """Yield the problems without contacts, and without those that penetrate and have no force."""
     problem, found = evidence.problem, evidence.certificate.violations
     none = np.zeros(0, dtype=np.intp)
     if found is None or not problem.contacts:
@@ -229,7 +233,7 @@ def _without_contacts(evidence: Evidence) -> Iterator[Question]:
 
 
 def _unpressed(evidence: Evidence) -> Indices:
-    """Return the contacts that carry no force although those of the right answer do."""
+    """Return the contacts without force that have one in the right answer."""
     if evidence.right is None:
         return np.zeros(0, dtype=np.intp)
     should = evidence.right.normal_force
@@ -238,7 +242,7 @@ def _unpressed(evidence: Evidence) -> Indices:
 
 
 def _held(evidence: Evidence) -> Iterator[Question]:
-    """Yield questions: is it right with contacts that pull too, all of them, those with a force, those that touch?"""
+    """Yield the problems with bilateral contacts: all of them, those with a force, or those that touch."""
     problem, found = evidence.problem, evidence.certificate.violations
     if not problem.contacts or found is None or problem.frictional:
         return
@@ -264,7 +268,7 @@ def _held(evidence: Evidence) -> Iterator[Question]:
 
 
 Family = Callable[[Evidence], Iterator[Explanation]]
-# Families that are weighed against each other, group after group.
+# Groups of families; within a group the best explanation counts.
 GROUPS: tuple[tuple[Family, ...], ...] = (
     (printed,),
     (scales, orders),
@@ -272,11 +276,11 @@ GROUPS: tuple[tuple[Family, ...], ...] = (
     (shares,),
     (inexact,),
 )
-# Explanations that leave this many times what the best one leaves are as good.
+# Explanations with an error up to this multiple of the best one's are equally good.
 AS_GOOD, NOTHING_LEFT = 10.0, 1e-6
 
 
-# Operations of other questions in a diagnosis, unless the right answer takes more: about a second.
+# Operations for other questions in a diagnosis (about a second), unless the right answer takes more.
 BUDGET = 1e9
 
 
@@ -288,10 +292,10 @@ def diagnose(
     right: Solution | None,
     operations: float | None = None,
 ) -> tuple[Finding, ...]:
-    """Return the causes that explain a refused answer, then what it violates, then what was left unasked.
+    """Return the causes of a refused answer, then its violations, then what was not examined.
 
-    Other questions that it may be the right answer to may take so many `operations`; by default as many as the right
-    answer takes, at least `BUDGET`. They are predicted, not timed: the findings do not depend on the machine.
+    Solving other questions may take so many `operations`, by default as many as the right answer and at least `BUDGET`.
+    These are predicted, not timed, so that the findings do not depend on the machine.
 
     Parameters
     ----------
@@ -318,7 +322,7 @@ def diagnose(
 
 
 def _explained(evidence: Evidence) -> list[Explanation]:
-    """Return what the first group of families that explains the answer says."""
+    """Return the findings of the first group of families that explains the answer."""
     for group in GROUPS:
         found = [one for family in group for one in family(evidence) if one.error <= LEFT]
         if found:
@@ -327,7 +331,7 @@ def _explained(evidence: Evidence) -> list[Explanation]:
 
 
 def _others(problem: ContactProblem, right: Solution | None) -> Iterator[Finding]:
-    """Yield the finding that other answers may be as right as the one that was found."""
+    """Yield the finding that the right answer may not be unique."""
     if right is None:
         return
     if SEVERAL in right.certificate.uniqueness:
@@ -339,7 +343,7 @@ def _others(problem: ContactProblem, right: Solution | None) -> Iterator[Finding
 
 
 def _best(found: list[Explanation]) -> list[Finding]:
-    """Return the best explanation and those that are as good, one of a kind."""
+    """Return the best explanation and equally good ones, one of each kind."""
     least = min(one.error for one in found)
     kept: dict[str, Explanation] = {}
     for one in found:
@@ -375,7 +379,7 @@ def paragraph(
     wrong: Sequence[JudgedContact],
     why_not: str | None,
 ) -> str:
-    """Return the findings as one paragraph; without a cause the right values of the worst contact stand with them.
+    """Return the findings as one paragraph, without a cause with the right values of the worst contact.
 
     Parameters
     ----------

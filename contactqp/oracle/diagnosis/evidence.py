@@ -1,8 +1,8 @@
-"""The evidence of a diagnosis: what was given, what is right, how far apart the two are, and what is violated.
+"""Collect the evidence of a diagnosis: the given and the right answer, their distance, and the violations.
 
-Distances are the largest difference as a part of the largest value, unknowns in the energy scale sqrt(K_jj) u_j, forces
-in that of their own rows, |E_i D| l_i, D = 1/sqrt(K_jj). Only what was given is compared. Where dependent rows leave
-the forces open, what they do together, E_N'l_N + E_T'l_T + A'nu, is compared instead.
+Distances are largest differences relative to the largest value, with unknowns scaled by energy, sqrt(K_jj) u_j, and
+forces by their rows, |E_i D| l_i, D = 1/sqrt(K_jj). Only given parts are compared. If forces are not unique because
+rows are dependent, the nodal forces E_N'l_N + E_T'l_T + A'nu are compared instead.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.judging import GivenAnswer, certify_given
 
-# One thing that is wrong with an answer.
+# The kinds of findings.
 
-# What explains a whole answer.
+# Causes, which explain a whole answer.
 CAUSES = {
     "sign": "forces of the opposite sign",
     "displacement-sign": "displacements of the opposite sign",
@@ -75,7 +75,7 @@ CAUSES = {
     "associated": "the associated relaxation, in which sliding dilates",
     "pyramid": "friction bounded direction by direction",
 }
-# What is violated, and what is to be said beside.
+# Violations and notes.
 SYMPTOMS = {
     "not-finite": "NaN or infinity",
     "tension": "a contact pulls",
@@ -94,24 +94,24 @@ SYMPTOMS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """A kind for programs, a key of `CAUSES` or `SYMPTOMS`, and a sentence for people.
+    """A finding with its kind (a key of `CAUSES` or `SYMPTOMS`) and a sentence.
 
-    A cause explains the whole answer: with it undone the answer is right, or nearer to right by two digits at least.
-    Any other finding says what is violated and guesses nothing.
+    A cause explains the whole answer: with it undone the answer is right, or more accurate by at least two digits. Any
+    other finding states a violation, without a guess.
     """
 
     kind: str
     text: str
     cause: bool = False
-    together: bool = False  # with the cause before it, not instead of it
+    together: bool = False  # in addition to the cause before it, not as an alternative
 
     def __str__(self) -> str:
         return self.text
 
 
-# What an answer violates, in words: no guess at a cause.
+# Violations of an answer in words, without causes.
 
-# Contacts named one by one.
+# The most contacts named one by one.
 NAMED = 3
 
 
@@ -187,7 +187,7 @@ def _friction_of(problem: ContactProblem, answer: Answer, i: int) -> str:
 
 
 def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
-    """Return in words the friction force beside mu l_N, and the angle between it and the slip."""
+    """Return in words the friction force compared to mu l_N, and its angle to the slip."""
     slip = slips(problem, answer.displacement)
     if slip is None or answer.friction_force is None:
         return ""
@@ -201,41 +201,41 @@ def _friction_along(problem: ContactProblem, answer: Answer, i: int) -> str:
 
 
 def _part(bound: float) -> str:
-    """Return a part of the right size in words."""
+    """Return a fraction of the right size in words."""
     if 1e-3 <= bound < 1:
         return f"{100 * bound:.2g} %"
     return f"{bound:.2g} {'of' if bound < 1 else 'times'} the right size"
 
 
 def unit_of(unit: str) -> str:
-    """Return the unit with a blank before it, if there is one."""
+    """Return the unit, if there is one, after a blank."""
     return f" {unit}" if unit else ""
 
 
-# A hypothesis explains an answer if, undone, so much of the error is gone and no more than this is left.
+# A hypothesis explains an answer if undoing it reduces the error by the first factor, and at most to the second.
 GONE, LEFT = 1e-2, 1e-3
-# What differs by less than this has no error left.
+# Smaller differences count as no error.
 NOTHING = 1e-9
-# An answer whose whole error is no more than so many times that was not wrong for a reason which leaves it there.
+# Undoing a mistake must reduce the error by this factor even if the rest is below NOTHING.
 TOLD = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A cause, and how far from right the answer is once it is undone."""
+    """A cause, and the error of the answer with it undone."""
 
     finding: Finding
-    error: float  # what is left of it
-    beside: tuple[Finding, ...] = ()  # other causes that are needed too
+    error: float  # the remaining error
+    beside: tuple[Finding, ...] = ()  # further causes that are needed
 
 
-# Operations of a certificate where no right answer is known and bounds are sought in vain, a tenth of a second.
+# Operations (a tenth of a second) of a certificate without known right answer, whose bounds fail.
 PER_CERTIFICATE = 1e8
 
 
 @dataclass(eq=False)
 class Effort:
-    """The operations that other questions may take, those that they took, and the kinds of those left unasked."""
+    """The operations available for other questions, those used, and the kinds of questions not examined."""
 
     allowed: float
     spent: float = 0.0
@@ -255,22 +255,23 @@ class Evidence:
     answer: Answer  # complete
     certificate: Certificate
     right: Solution | None
-    recovered: bool = False  # whether a part of the answer was made from the others
-    effort: Effort = field(default_factory=lambda: Effort(np.inf))  # shared by all evidence of one diagnosis
+    recovered: bool = False  # whether a part of the answer was computed from the others
+    effort: Effort = field(default_factory=lambda: Effort(np.inf))  # shared by all evidence of a diagnosis
 
     @cached_property
     def before(self) -> float:
-        """Return how far what was given is from the right answer, relative; infinity where no right answer is known.
+        """Return the relative error of the given parts, infinity if no right answer is known.
 
-        Of several answers the one that was found may be far while an equilibrium with the states of this one is near.
+        With several answers, the right answer found may be far although an equilibrium with this answer's states is
+        near.
         """
         return min(np.inf if self.right is None else self.apart(self.given, self.right), self.own_states)
 
     @cached_property
     def own_states(self) -> float:
-        """Return how far the answer is from an equilibrium with its own open, sticking and slipping contacts, relative.
+        """Return the relative distance from an equilibrium with the answer's own open, sticking and slipping contacts.
 
-        Infinity where this is the only equilibrium, so the right answer, or where there was nothing to compare with.
+        It is infinite if there is only one equilibrium, the right answer, or nothing to compare with.
         """
         found = self.certificate
         several = SEVERAL in found.uniqueness or POSSIBLE in found.uniqueness
@@ -278,10 +279,10 @@ class Evidence:
 
     @cached_property
     def weights(self) -> dict[str, Any]:
-        """Return the factors by which entries of each part compare in energy, over those of all displacements or all
-        forces.
+        """Return weights that make entries of each part comparable in energy, relative to the largest of displacements
+        or forces.
 
-        What is compared are ratios, and with weights of at most one no value that is a double becomes infinite.
+        Only ratios are compared, and weights of at most one avoid overflow.
         """
         D = unknown_scale(self.problem)
         problem = self.problem
@@ -303,7 +304,7 @@ class Evidence:
 
     @cached_property
     def shared(self) -> bool:
-        """Return whether dependent rows leave the forces open, by what the certificates say."""
+        """Return whether forces are not unique because of dependent rows, by the certificates."""
         words = [*self.certificate.reasons, *self.certificate.notes, *self.certificate.uniqueness]
         if self.right is not None:
             certificate = self.right.certificate
@@ -319,7 +320,7 @@ class Evidence:
         return int(np.size(getattr(self.given, name)))
 
     def apart(self, one: GivenAnswer, other: Solution | Answer) -> float:
-        """Return how far the given parts of one answer are from another's."""
+        """Return the distance of the given parts of two answers."""
         worst = 0.0
         names = list(self.given_parts)
         if self.shared and "normal_force" in names:
@@ -330,8 +331,8 @@ class Evidence:
         return worst
 
     def part_apart(self, name: str, mine: Array, right: Array) -> float:
-        """Return max |w (x - x*)| / max |w x*|, over the size of all forces where the right part is nothing beside
-        them.
+        """Return max |w (x - x*)| / max |w x*|; a negligible right part of forces is compared to the size of all
+        forces.
         """
         weight = self.weights[name]
         difference = weight * (mine - right)
@@ -340,7 +341,7 @@ class Evidence:
         return _relative(difference, weight * right, weight * mine, self._floor(name))
 
     def _floor(self, name: str) -> float:
-        """Return the size beneath which a part of the forces is compared with all forces instead of with itself."""
+        """Return the size below which a part of the forces is compared to all forces."""
         if self.right is None or name == "displacement":
             return 0.0
         sizes = [
@@ -365,7 +366,7 @@ class Evidence:
         return _relative(mine - right, right, mine, 0.0)
 
     def resultant(self, answer: Solution | Answer) -> Vector:
-        """Return E_N'l_N + E_T'l_T + A'nu (n,) of those parts of an answer that were given [force]."""
+        """Return E_N'l_N + E_T'l_T + A'nu (n,) of the given parts of an answer [force]."""
         total = self.problem.normal.T @ answer.normal_force
         if "friction_force" in self.given_parts and self.problem.tangent is not None:
             total = total + self.problem.tangent.T @ np.ravel(np.asarray(answer.friction_force))
@@ -374,13 +375,13 @@ class Evidence:
         return np.asarray(total)
 
     def explains(self, left: float) -> bool:
-        """Return whether an answer that is this far from right, something undone, was wrong for that reason."""
+        """Return whether a hypothesis that leaves this error explains the answer."""
         return left <= min(LEFT, GONE * self.before) or left <= NOTHING < TOLD * self.before
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
         """Return whether the certificate passes a changed answer, or the same answer to another problem.
 
-        Where no right answer is known a certificate tries much before it gives up: these count as other questions do.
+        Without a known right answer certificates are expensive, and count as other questions.
         """
         if self.right is None:
             if self.effort.exhausted:
@@ -396,9 +397,9 @@ class Evidence:
         return found.passed
 
     def passes_with(self, **changes: Any) -> bool:
-        """Return whether the answer as it was given is right for the problem with other data.
+        """Return whether the given answer is right for the problem with other data.
 
-        Data that no problem may have explain nothing: factors may be of any size, and make them infinite.
+        Invalid data explain nothing, such as infinite ones due to large factors.
         """
         try:
             changed = self.problem.replace(**changes)
@@ -407,16 +408,16 @@ class Evidence:
         return self.passes(self.given, changed)
 
     def with_parts(self, **changes: Any) -> GivenAnswer:
-        """Return what was given, some parts of it changed."""
+        """Return the given answer with some parts changed."""
         return replace(self.given, **changes)
 
     def then(self, undone: GivenAnswer, left: float) -> str:
-        """Return the explanation of the answer with its mistake undone."""
+        """Return in words how right the answer is with its mistake undone."""
         return "this answer is right" if self.passes(undone) else f"it agrees with the right one to {digits(left)}"
 
 
 def _largest(values: Any) -> float:
-    """Return the largest size, at least the least normal number, that one can divide by."""
+    """Return the largest size, at least the smallest normal number, for division."""
     return max(float(np.max(abs(np.asarray(values)), initial=0.0)), TINY)
 
 
@@ -428,6 +429,6 @@ def _relative(difference: Any, right: Any, mine: Any, floor: float) -> float:
 
 
 def digits(part: float) -> str:
-    """Return how many digits agree where this part of the largest value differs, in words."""
+    """Return in words how many digits agree for this relative difference."""
     count = 16 if part <= 0 else max(0, min(16, int(np.floor(-np.log10(part)))))
     return f"{count} digit{'' if count == 1 else 's'}"

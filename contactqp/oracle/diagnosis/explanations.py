@@ -1,8 +1,8 @@
-"""Explanations of a wrong answer for which no problem is solved: the law that it obeys, or its one mistake.
+"""Explain a wrong answer without solving a problem: by another law that it obeys, or by a single mistake.
 
-Other laws are springs for contacts, barriers, other loads or moduli and other friction. What an answer leaves,
-r = f - K u - E_N'l_N - E_T'l_T - A'nu, and how its forces go with its gaps and slips show which law they obey. Single
-mistakes are contacts counted twice, one wrong value, a share, or an offset.
+Other laws are springs for contacts, barriers, other loads or moduli and other friction. They are recognised by the
+residual r = f - K u - E_N'l_N - E_T'l_T - A'nu and by the relation of forces to gaps and slips. Single mistakes are
+contacts counted twice, one wrong value, wrong shares, or an offset.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from contactqp.model.solution import Violations
 from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
 from contactqp.oracle.diagnosis.scales import CALLED, factors
 
-# Figures beneath this are met, as far as a wrong answer of moderate accuracy can tell.
+# Figures below this count as satisfied in a wrong answer of moderate accuracy.
 MET = 1e-6
-# Spring stiffnesses, ratios and products that spread by this part are one.
+# Spring stiffnesses, ratios and products with this relative spread count as equal.
 ONE_VALUE = 1e-3
-# The same where few different ones are looked for: printed overlaps have few digits.
+# The same if few different ones are expected, as printed overlaps have few digits.
 ONE_OF_FEW = 5e-3
-# One contact that is penetrated by so little, all else right to this part, tells no spring.
+# A single penetration so small, with all else right to this accuracy, indicates no spring.
 STOPPED = 1e-6
-# Parts of a force that stand out by no more than this from a rule obey it.
+# The relative deviation of a force from a law that it obeys.
 OBEYS = 1e-3
 
 
@@ -50,7 +50,7 @@ def laws(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """Yield an explanation where every force is a spring's, l_i = beta_i p_i with the penetration p_i = -gap_i."""
+    """Yield an explanation if every force is a spring's, l_i = beta_i p_i with the penetration p_i = -gap_i."""
     problem, force = evidence.problem, evidence.answer.normal_force
     limit = evidence.certificate.tolerance
     pushed = found.force_measure > limit
@@ -62,10 +62,10 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
         or np.any((found.gap < 0) & (found.gap_measure > limit) & ~pushed)
     ):
         return
-    if np.sum(sprung) == 1 and evidence.before <= STOPPED:  # as likely iterations that stopped
+    if np.sum(sprung) == 1 and evidence.before <= STOPPED:  # may as well be unfinished iterations
         return
     stiffness = force[sprung] / -found.gap[sprung]
-    if not np.all((stiffness > 0) & np.isfinite(stiffness)):  # beyond the range of doubles
+    if not np.all((stiffness > 0) & np.isfinite(stiffness)):  # overflow
         return
     lowest, highest = float(np.min(stiffness)), float(np.max(stiffness))
     spread = highest / lowest - 1
@@ -88,7 +88,7 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
     if np.sum(sprung) == 1 and not np.any(pulls):
         text += ", or like a gap that is larger by as much"
     one_stiffness = (spread <= ONE_VALUE and np.sum(sprung) > 1) or _few(stiffness)
-    # One spring, or springs of any stiffness, fit much: only where nothing else is wrong and nothing was made to fit.
+    # One spring, or springs of any stiffness, fit too easily: only if nothing else is wrong and all parts were given.
     noise = max(limit, ONE_VALUE * float(np.max(found.gap_measure[sprung])))
     strict = evidence.certificate.equilibrium <= noise and not evidence.recovered
     if one_stiffness or strict:
@@ -96,23 +96,23 @@ def _springs(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 
 def _few(stiffness: Vector) -> bool:
-    """Return whether few different values occur, a third of all at most: a penalty by the area, on a regular mesh."""
+    """Return whether at most a third of the values differ, as penalties proportional to areas do on a regular mesh."""
     steps = np.diff(np.log(np.sort(stiffness)))
     return 3 * (1 + int(np.sum(steps > ONE_OF_FEW))) <= len(stiffness)
 
 
-# How far from right an explanation is said to leave an answer that others may explain better.
+# The nominal remaining error of explanations that should yield to better ones.
 LATER = 0.9e-3
 
 
 def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """Yield an explanation where l_i gap_i is the same at all contacts and none is closed, as in an interior point."""
+    """Yield an explanation if l_i gap_i is the same at all contacts and none is closed, as in an interior point."""
     force, gap = evidence.answer.normal_force, found.gap
     if len(gap) < 2 or np.any(force <= 0) or np.any(gap <= 0) or evidence.problem.frictional:
         return
     product = force * gap
     least, most = float(np.min(product)), float(np.max(product))
-    if not (least > 0 and most <= 1.1 * least < np.inf):  # nor where products are beyond the range of doubles
+    if not (least > 0 and most <= 1.1 * least < np.inf):  # products may overflow
         return
     unit = unit_of(evidence.problem.units.force), unit_of(evidence.problem.units.length)
     text = (
@@ -123,11 +123,11 @@ def _barrier(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
 
 
 def _residual(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """Yield explanations where the residual is a multiple of the load, of K u or of u, or the load of some unknowns."""
+    """Yield explanations if the residual is a multiple of the load, of K u or of u, or the load of some unknowns."""
     problem, u, r = evidence.problem, evidence.answer.displacement, found.residual
     inner = (extended_rows(problem).stiffness @ extend(u)).double()
     part = _multiple(r, problem.load)
-    # A factor that is printed as 1 is the rounding of the answer's digits.
+    # A factor printed as 1 is due to the rounding of the answer.
     if part is not None and f"{1 - part:.4g}" != "1" and evidence.passes_with(load=(1 - part) * problem.load):
         factor = 1 - part
         words = {0.0: "no load at all", -1.0: "the load with the opposite sign", 2.0: "twice the load"}
@@ -165,17 +165,17 @@ def _passes_with(evidence: Evidence, stiffness: Any) -> bool:
 
 
 def _multiple(vector: Vector, of: Vector) -> float | None:
-    """Return the factor c with vector = c of, or None where there is none."""
+    """Return the factor c with vector = c of, None if there is none."""
     largest, scale = (float(np.max(abs(one), initial=0.0)) for one in (vector, of))
     if not (0 < largest < np.inf and 0 < scale < np.inf):
         return None
-    shape, along = vector / largest, of / scale  # the squares of values that are doubles need not be
+    shape, along = vector / largest, of / scale  # squares may overflow
     part = float(shape @ along) / float(along @ along)
     return part * (largest / scale) if float(np.max(abs(shape - part * along))) <= OBEYS else None
 
 
 def _rough(evidence: Evidence, found: Violations) -> Iterator[Explanation]:
-    """Yield explanations where friction follows another law: sign, coefficient, direction or shape of the cone."""
+    """Yield explanations if friction follows another law: sign, coefficient, direction or shape of the cone."""
     problem, answer, limit = evidence.problem, evidence.answer, evidence.certificate.tolerance
     slip = slips(problem, answer.displacement)
     if not problem.frictional or problem.friction is None or slip is None or answer.friction_force is None:
@@ -225,7 +225,7 @@ def _other_cone(evidence: Evidence, sliding: Mask, size: Vector, bound: Vector, 
             yield Explanation(Finding("friction-coefficient", text, True), 0.0)
             return
     if force.shape[1] > 1:
-        # Of a square each component that slips is at the bound.
+        # With a square cone each slipping component is at the bound.
         at_bound = abs(abs(force) - bound[:, None]) <= OBEYS * bound[:, None]
         still = abs(slip) <= OBEYS * lengths(slip)[:, None]
         square = np.all(at_bound | still, axis=1)[sliding]
@@ -235,12 +235,12 @@ def _other_cone(evidence: Evidence, sliding: Mask, size: Vector, bound: Vector, 
             yield Explanation(Finding("pyramid", text, True), MET)
 
 
-# Of all pushing contacts, at most this part may be counted otherwise.
+# The largest part of the pushing contacts that may be counted differently.
 FEWER = 0.5
 
 
 def duplicates(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield forces counted twice, or halved, at some contacts."""
+    """Yield explanations by forces counted twice, or halved, at some contacts."""
     yield from _rows_twice(evidence)
     if evidence.right is None or evidence.shared:
         return
@@ -250,7 +250,7 @@ def duplicates(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _rows_twice(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield an explanation where the problem has a contact row several times and each copy carries the whole force."""
+    """Yield an explanation if the problem repeats a contact row and each copy has the whole force."""
     force, right, problem = evidence.given.normal_force, evidence.right, evidence.problem
     if force is None or right is None or problem.contacts < 2:
         return
@@ -272,7 +272,7 @@ def _rows_twice(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _same_rows(evidence: Evidence) -> list[np.ndarray]:
-    """Return the groups of contacts that have the same row and the same gap."""
+    """Return the groups of contacts with equal rows and gaps."""
     problem = evidence.problem
     rows = problem.normal
     keys: dict[bytes, list[int]] = {}
@@ -283,7 +283,7 @@ def _same_rows(evidence: Evidence) -> list[np.ndarray]:
 
 
 def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """Yield an explanation where some contacts have half or twice the right force and the others the right one."""
+    """Yield an explanation if some contacts have half or twice the right force and the others the right one."""
     size = float(np.max(abs(right), initial=0.0))
     acting = right > LEFT * size
     if np.sum(acting) < 2:
@@ -305,16 +305,16 @@ def _counted_otherwise(evidence: Evidence, force: Vector, right: Vector) -> Iter
             return
 
 
-# Answers of which every value is right but one.
+# Answers with one wrong value.
 
-# Values that there must be.
+# The least number of values.
 LEAST = 4
-# A value this near to the right one, as a part of the largest of its kind, is right.
+# The error, relative to the largest of its kind, up to which a value is right.
 RIGHT = 1e-9
 
 
 def one_value(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield an explanation where all values but one are right."""
+    """Yield an explanation if all values but one are right."""
     right = evidence.right
     if right is None or evidence.shared:
         return
@@ -340,17 +340,17 @@ def one_value(evidence: Evidence) -> Iterator[Explanation]:
     yield Explanation(Finding("one-value", text, True), 0.0)
 
 
-# Answers of which a part is right: the total and not its distribution, all but the areas, all but one factor.
+# Partly right answers: total right but not its distribution, all right except areas, or except one factor.
 
 FORCES_OF_CONTACTS = {"normal_force", "friction_force"}
-# Contacts that must push before their factors mean anything.
+# The least number of pushing contacts for which factors are examined.
 ENOUGH = 3
-# The smallest area of the largest, where forces are taken for pressures.
+# The least ratio of areas if forces are confused with pressures.
 AREAS_DIFFER = 0.95
 
 
 def shares(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield what forces have in common with the right ones where displacements are right or were not given."""
+    """Yield explanations of forces if displacements are right or were not given."""
     if evidence.right is None or evidence.shared:
         return
     force = evidence.given.normal_force
@@ -362,9 +362,7 @@ def shares(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """Yield an explanation where every pushing contact has a positive factor of its own: few of them differ, or areas
-    were given.
-    """
+    """Yield an explanation if each pushing force has a positive factor, and few of these differ or areas were given."""
     size = float(np.max(abs(right), initial=0.0))
     acting = right > LEFT * size
     if np.sum(acting) < ENOUGH or np.any(abs(force[~acting]) > LEFT * float(np.max(abs(force)))):
@@ -377,10 +375,10 @@ def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Exp
             yield Explanation(Finding("pressure", text + evidence.then(without, left), True), left)
             return
     area = right[acting] / force[acting] if np.all(force[acting] > 0) else np.zeros(1)
-    if np.sum(abs(area - 1) > LEFT) < 2:  # one force is wrong
+    if np.sum(abs(area - 1) > LEFT) < 2:  # a single wrong force
         return
     values = np.unique(np.round(area / np.max(area), 4)) if np.all(area > 0) else np.zeros(0)
-    # Areas differ by more than what an inexact answer is off by.
+    # Areas differ by more than the error of an inexact answer.
     if 2 <= len(values) <= max(2, int(np.sum(acting)) // 2) and values[0] < AREAS_DIFFER:
         text = (
             f"the forces are the right ones divided by {np.min(area):.4g} to {np.max(area):.4g}, few different "
@@ -390,7 +388,7 @@ def _pressures(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Exp
 
 
 def _total(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explanation]:
-    """Yield an explanation where the total is right and its distribution is not."""
+    """Yield an explanation if the total is right and its distribution is not."""
     total, should = float(np.sum(force)), float(np.sum(right))
     if not should > 0 or abs(total - should) > 1e-6 * should or np.any(force < 0):
         return
@@ -406,7 +404,7 @@ def _total(evidence: Evidence, force: Vector, right: Vector) -> Iterator[Explana
 
 
 def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield an explanation where every part is right but for a factor that has no name."""
+    """Yield an explanation if every part is right up to an unnamed factor."""
     known = factors(evidence)
     if known is None:
         return
@@ -423,11 +421,11 @@ def _any_factor(evidence: Evidence) -> Iterator[Explanation]:
         yield Explanation(Finding("scaled", f"{text}, to {digits(left)}{hint}", True), left)
 
 
-# Nodes that must have moved alike, and pushing contacts that must have one gap.
+# The least numbers of nodes with equal offset, and of pushing contacts with equal gap.
 NODES, CONTACTS, SOME = 3, 2, 50
 
 
-# Right answers but for an offset: of all gaps alike, or of all displacements alike.
+# Answers right up to one offset of all gaps or of all displacements.
 
 
 def shifted(evidence: Evidence) -> Iterator[Explanation]:
@@ -437,7 +435,7 @@ def shifted(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _gaps(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield an explanation where all pushing contacts have one gap, and with all gaps less that the answer passes."""
+    """Yield an explanation if all pushing contacts have the same gap, and the answer passes with gaps reduced by it."""
     found, problem = evidence.certificate.violations, evidence.problem
     if found is None:
         return
@@ -447,7 +445,7 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
     if np.sum(pushing) < CONTACTS or not np.all(found.gap_measure[pushing] > limit):
         return
     rows = problem.normal[np.flatnonzero(pushing)[:SOME]].toarray()
-    if np.linalg.matrix_rank(rows) < CONTACTS:  # rows that say the same have one gap whatever is wrong
+    if np.linalg.matrix_rank(rows) < CONTACTS:  # equal rows have equal gaps in any answer
         return
     offset = float(np.median(found.gap[pushing]))
     if not np.isfinite(offset) or np.max(abs(found.gap[pushing] - offset)) > LEFT * abs(offset):
@@ -462,7 +460,7 @@ def _gaps(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _displacements(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield an explanation where all nodes are off by the same displacement."""
+    """Yield an explanation if all nodes have the same error of displacement."""
     u, right = evidence.given.displacement, evidence.right
     if u is None or right is None or not np.all(np.isfinite(u)):
         return

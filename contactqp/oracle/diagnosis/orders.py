@@ -1,4 +1,4 @@
-"""Recognise answers whose values stand in another order, and those with two mistakes at once."""
+"""Recognise answers whose values are permuted, and answers with two mistakes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Fin
 from contactqp.oracle.diagnosis.scales import named_factor
 from contactqp.oracle.foreign.judging import GivenAnswer, certify_given
 
-# Orders that are written out.
+# The longest order that is printed.
 WRITTEN = 12
 
 
 def orders(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield orders of contacts, of unknowns, of both, and of tangential directions."""
+    """Yield explanations by orders of contacts, of unknowns, of both, and of tangential directions."""
     if evidence.right is None:
         return
     contact, unknown = None if evidence.shared else _of_contacts(evidence), _of_unknowns(evidence)
@@ -74,7 +74,7 @@ def _of_contacts(evidence: Evidence) -> Order | None:
 
 
 def _places(mine: Vector, right: Vector) -> Indices | None:
-    """Return the order p with mine[p] = right; None where there is none, or where the order is right as it is."""
+    """Return the permutation p with mine[p] = right, None if there is none, or if the order is right."""
     size = float(np.max(abs(right), initial=0.0))
     if size == 0 or np.max(abs(np.sort(mine) - np.sort(right))) > LEFT * size:
         return None
@@ -109,7 +109,7 @@ def _right(evidence: Evidence) -> Vector:
 
 
 def _regular_orders(n: int) -> Iterator[tuple[Indices, str]]:
-    """Return the orders that programs have for the components of nodes."""
+    """Return the usual orders of the components of nodes."""
     yield np.arange(n)[::-1], "the unknowns stand in reverse order"
     for d in (2, 3, 6):
         if n % d or n == d == 6:
@@ -150,7 +150,7 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_components(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Explanation]:
-    """Yield an explanation where normal and tangential forces stand in each other's place."""
+    """Yield an explanation if normal and tangential forces are exchanged."""
     normal = evidence.given.normal_force
     if normal is None:
         return
@@ -175,9 +175,7 @@ def _of_components(evidence: Evidence, mine: Array, right: Solution) -> Iterator
 
 
 def _of_angle(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Explanation]:
-    """Yield an explanation where one rotation or reflection of the tangents turns all friction forces into the right
-    ones.
-    """
+    """Yield an explanation if one rotation or reflection of the tangents gives the right friction forces."""
     should = right.friction_force
     if should is None or np.sum(np.linalg.norm(should, axis=1) > LEFT * np.max(np.linalg.norm(should, axis=1))) < 2:
         return
@@ -193,13 +191,13 @@ def _of_angle(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Expl
         yield Explanation(Finding("tangent-turned", text, True), left)
 
 
-# Powers of ten of units that are confused, and how far from one the other mistake may put the factor.
+# Powers of ten of confused units, and the range of the factor left for the other mistake.
 POWERS, NEAR = (3, 6), 0.3
-# Where no other mistake is found: undone, the answer is right to this part, and was further off by this factor.
+# Without another mistake: the largest error after undoing, and the least factor by which undoing reduces it.
 ROUGHLY, NEARER = 0.1, 20.0
-# Answers with a flipped sign or another unit, and another mistake beside: what a sign hides is looked for again.
+# Answers with a wrong sign or unit and another mistake, which is looked for after undoing the first.
 
-# Signs and powers of ten are told from noise by no fewer values.
+# The least number of values for recognising signs and powers of ten.
 ENOUGH = 3
 
 
@@ -210,7 +208,7 @@ class _Undone(NamedTuple):
 
 
 def two_mistakes(evidence: Evidence, explained: Callable[[Evidence], list[Explanation]]) -> list[Explanation]:
-    """Return a sign or a unit, and what `explained` says of the answer with that undone."""
+    """Return findings of a wrong sign or unit, with those of `explained` for the answer with it undone."""
     for undone in _undoings(evidence):
         try:
             found, completed = certify_given(
@@ -276,7 +274,7 @@ def _undoings(evidence: Evidence) -> Iterator[_Undone]:
 
 
 def _power(mine: float, right: float) -> int:
-    """Return the power of a thousand by which a size is too large, 0 where there is none."""
+    """Return the power of a thousand by which a size is too large, 0 if there is none."""
     if not 0 < mine < np.inf or not 0 < right < np.inf:
         return 0
     exponent = float(np.log10(mine) - np.log10(right))

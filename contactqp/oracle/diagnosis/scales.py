@@ -1,4 +1,4 @@
-"""Recognise answers that are right but for a factor (signs, units, halves) or for their precision."""
+"""Recognise answers that are right up to a factor (signs, units, halves) or up to their precision."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from contactqp.model.arrays import Vector
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.foreign.judging import certify_given
 
-# Factors that a wrong answer may have, and what they are called: signs, units, halves, rings.
+# Typical factors of wrong answers with their names: signs, units, halves, rings.
 
-# A factor this close to a known one is meant to be it.
+# The relative distance within which a factor counts as a named one.
 CLOSE = 1e-4
 LARGEST_POWER = 12
-# Powers of ten of units, their names as problems have them.
+# Powers of ten of units, by the units' names in problems.
 LENGTHS = {"m": 0, "mm": -3, "cm": -2, "um": -6, "µm": -6, "km": 3}
 FORCES = {"N": 0, "kN": 3, "MN": 6, "mN": -3}
 WORDS = {"m": "metres", "mm": "millimetres", "cm": "centimetres", "um": "micrometres", "µm": "micrometres"}
@@ -33,7 +33,7 @@ OTHERS = (
 
 
 class NamedFactor(NamedTuple):
-    """The kind of a factor, its exact value, and a guess in words, empty where there is nothing to say."""
+    """The kind of a factor, its exact value, and a guess in words, possibly empty."""
 
     kind: str
     exact: float
@@ -41,9 +41,9 @@ class NamedFactor(NamedTuple):
 
 
 def named_factor(factor: float, length: bool, unit: str) -> NamedFactor | None:
-    """Return what a factor of displacements or of forces is called; None if it has no name.
+    """Return the name of a factor of displacements or forces, None if it has none.
 
-    `unit` is the problem's own: a displacement 1000 times too large was given in the next smaller one.
+    `unit` is the problem's; a displacement 1000 times too large was given in the next smaller unit.
     """
     if factor == 0:
         return NamedFactor("zero", 0.0, "")
@@ -81,16 +81,15 @@ CALLED = {
     "friction_force": "friction forces",
     "tie_force": "tie forces",
 }
-# Beside parts that are zero the rest is right to this part.
+# The largest error of the other parts if some are zero.
 REST = 1e-6
 RIGHT = "this answer is right"
 
 
 def factors(evidence: Evidence) -> dict[str, float] | None:
-    """Return what each given part has to be divided by to be right, None where some part is not proportional to the
-    right one.
+    """Return the factor of each given part relative to the right one, None if some part is not proportional.
 
-    A part that is right, or whose right value is zero, has the factor one.
+    The factor of a right part, or of one whose right value is zero, is one.
     """
     found: dict[str, float] = {}
     for name, (mine, right) in _compared(evidence).items():
@@ -104,9 +103,9 @@ def factors(evidence: Evidence) -> dict[str, float] | None:
 
 
 def _proportion(mine: Vector, right: Vector) -> float | None:
-    """Return c with mine = c right to LEFT of the largest, one where right is zero; None where no double is that.
+    """Return c with mine = c right up to LEFT of the largest, one if right is zero, None if there is none.
 
-    Both are divided by their largest entries first: the squares of values that are doubles need not be.
+    Both are divided by their largest entries first, as squares may overflow.
     """
     size, scale = (float(np.max(abs(part), initial=0.0)) for part in (mine, right))
     if not scale > 0:
@@ -122,7 +121,7 @@ def _proportion(mine: Vector, right: Vector) -> float | None:
 
 
 def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
-    """Return what was given beside what is right, part by part; forces that are open by what they do together."""
+    """Return pairs of given and right parts; forces that are not unique are replaced by nodal forces."""
     right = evidence.right
     names = evidence.given_parts
     pairs: dict[str, tuple[Vector, Vector]] = {}
@@ -139,7 +138,7 @@ def _compared(evidence: Evidence) -> dict[str, tuple[Vector, Vector]]:
 
 
 def scales(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield explanations by signs, units and other factors that have a name."""
+    """Yield explanations by signs, units and other named factors."""
     if evidence.right is None:
         yield from _without_right(evidence)
         return
@@ -180,7 +179,7 @@ def scales(evidence: Evidence) -> Iterator[Explanation]:
 
 
 def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
-    """Yield the load's factor where one factor belongs to everything and gaps do not tell."""
+    """Yield a factor of the load if all parts have the same factor and gaps do not contradict it."""
     problem, factor = evidence.problem, next(iter(meant.values()))
     if len(set(meant.values())) > 1 or not np.any(problem.load):
         return
@@ -190,7 +189,7 @@ def _of_load(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanatio
 
 
 def _texts(evidence: Evidence, parts: list[str], factor: float, guess: str, then: str) -> tuple[str, str]:
-    """Return what is wrong, and how it is undone."""
+    """Return the mistake and its correction in words."""
     what = "everything" if len(parts) == len(evidence.given_parts) and len(parts) > 1 else _joined(parts)
     if factor == -1:
         has = "has" if what == "everything" else "have"
@@ -228,7 +227,7 @@ def _zero(evidence: Evidence, meant: dict[str, float]) -> Iterator[Explanation]:
 
 
 def _without_right(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield signs and powers of ten that the certificate passes, where no right answer is known."""
+    """Yield signs and powers of ten with which the certificate passes, if no right answer is known."""
     force = evidence.given.normal_force
     if force is None or not np.any(force):
         return
@@ -246,33 +245,33 @@ def _without_right(evidence: Evidence) -> Iterator[Explanation]:
             return
 
 
-# Answers that are right as far as they go: single precision, printed digits, iterations that stopped early.
+# Right answers of low precision: single precision, printed digits, unfinished iterations.
 
-# What is nearer than this to right is right to a few digits.
+# Answers with a smaller error are right to a few digits.
 FEW_DIGITS = 1e-3
-# Values beneath this part of the largest are noise.
+# Values below this part of the largest are noise.
 NOISE = 1e-9
 MOST_PRINTED = 12
 LOOSEST = 1e-2
 NONE_PASSES = f"no tolerance up to {LOOSEST:g} passes it"
-# Answers that are nearer than this are right in all digits, but for what the comparison does not see.
+# Answers with a smaller error are right in all digits, as far as compared.
 ROUNDINGS = 1e-13
 
 
 def printed(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield numbers of single precision or of few digits, each as near to the right one as these are."""
+    """Yield an explanation if numbers of single precision or few digits are right to these digits."""
     if evidence.right is None or not evidence.before <= FEW_DIGITS:
         return
     values, right, noise = _side_by_side(evidence)
     for kind, why, last_digit in _roundings(values):
-        part = min(last_digit, 1 / 3)  # rounding to one digit changes a number by a third at most: 1.5 to 1
+        part = min(last_digit, 1 / 3)  # rounding to one digit changes a number by at most a third (1.5 to 1)
         if np.all(abs(values - right) <= part * np.maximum(abs(values), abs(right)) + noise):
             yield from _inexact_by(evidence, kind, why)
             return
 
 
 def inexact(evidence: Evidence) -> Iterator[Explanation]:
-    """Yield to how many digits an answer is right that nothing else explains."""
+    """Yield the number of right digits of an answer that nothing else explains."""
     if evidence.right is not None and evidence.before <= FEW_DIGITS:
         yield from _inexact_by(
             evidence, "inexact", "single precision, a printed answer, or iterations that stopped early?"
@@ -285,14 +284,14 @@ def _inexact_by(evidence: Evidence, kind: str, why: str) -> Iterator[Explanation
         right = "the equilibrium with the same contacts open, sticking and slipping"
     text = f"it agrees with {right} to about {digits(evidence.before)}{_small_forces(evidence)}: {why}"
     passing = _what_passes(evidence)
-    if evidence.before <= ROUNDINGS and passing == NONE_PASSES:  # digits are not what it lacks
+    if evidence.before <= ROUNDINGS and passing == NONE_PASSES:  # lack of digits does not explain it
         return
     text = f"{text} {passing}" if text.endswith("?") else f"{text}; {passing}"
     yield Explanation(Finding(kind, text, True), evidence.before)
 
 
 def _small_forces(evidence: Evidence) -> str:
-    """Say of which contact the force is another one, where all forces agree beside the largest; else nothing."""
+    """Return in words the contact with a wrong small force, if all forces agree relative to the largest, else ""."""
     given = evidence.given.normal_force
     if evidence.right is None or given is None or evidence.shared:
         return ""
@@ -307,7 +306,7 @@ def _small_forces(evidence: Evidence) -> str:
 
 
 def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:
-    """Return all given values, the right ones, and what is noise beside the largest of their kind."""
+    """Return all given values, the right ones, and the noise level of each kind."""
     mine = [np.ravel(getattr(evidence.given, name)) for name in evidence.given_parts]
     right = [np.ravel(getattr(evidence.right, name)) for name in evidence.given_parts]
     noise = [np.full(len(part), NOISE * np.max(abs(part), initial=0.0)) for part in right]
@@ -315,9 +314,7 @@ def _side_by_side(evidence: Evidence) -> tuple[Vector, Vector, Vector]:
 
 
 def _roundings(values: Vector) -> Iterator[tuple[str, str, float]]:
-    """Yield each rounding that leaves the values as they are: its kind, in words, and the relative size of a last
-    digit.
-    """
+    """Yield each rounding that does not change the values: kind, words, and relative size of the last digit."""
     with np.errstate(over="ignore"):
         single = values.astype(np.float32).astype(float)
     if np.all(np.isclose(single, values, rtol=1e-15, atol=0.0)):
@@ -330,7 +327,7 @@ def _roundings(values: Vector) -> Iterator[tuple[str, str, float]]:
 
 
 def _what_passes(evidence: Evidence) -> str:
-    """Return the tolerances, powers of ten, that would pass."""
+    """Return the tolerances, powers of ten, with which the answer would pass."""
     found = evidence.certificate
     sizes = [
         float(getattr(found, one.name))
@@ -340,7 +337,7 @@ def _what_passes(evidence: Evidence) -> str:
     worst = max([*sizes, found.slip_direction, (found.natural_map or 0.0) / 4, found.tolerance])
     start = int(np.ceil(np.log10(worst))) if np.isfinite(worst) else 0
     powers = range(start, start + 3)
-    if evidence.recovered:  # what is recovered depends on the tolerance, and with it every figure
+    if evidence.recovered:  # missing parts are recovered with this tolerance, and all figures depend on it
         powers = range(int(np.floor(np.log10(found.tolerance))) + 1, 0)
     for power in powers:
         tolerance = max(10.0**power, found.tolerance)

@@ -1,1 +1,1 @@
-"""Exact and enclosed answers: rational numbers, intervals, and the proofs of them."""
+"""Compute answers in rational numbers or intervals, with proofs."""

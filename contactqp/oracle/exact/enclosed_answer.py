@@ -44,7 +44,7 @@ from contactqp.solving.solve import solve
 #     |e_y| <= h/s (sqrt(t) |r| / a + |r2|),    |e_u| <= (|r| + sqrt(t) |e_y|) / a.
 #
 # All four are crude, and proven by one factorisation in floats (`contactqp.oracle.exact.refinement`): r is as small as
-# refinement makes it. The contact set is right where every force of it and every gap outside of it is strictly
+# refinement makes it. The contact set is right if all its forces and all gaps of other contacts are strictly
 # positive.
 
 
@@ -52,8 +52,8 @@ from contactqp.solving.solve import solve
 class Bounds:
     """The proven bounds a, h, s and t of the scaled system of a contact set."""
 
-    scale: Floats  # (n,) of the unknowns
-    length: Floats  # (k + c,) of the ties' and contacts' rows
+    scale: Floats  # (n,) scales of the unknowns
+    length: Floats  # (k + c,) scales of the rows of ties and contacts
     a: float
     h: float
     s: float
@@ -66,13 +66,13 @@ class Enclosure(AnswerOf[Floats, None]):
 
     refined: Refined
     gap: Floats  # (m,)
-    definite: bool  # the stiffness is positive definite within the ties: the only equilibrium, and the minimum
+    definite: bool  # the stiffness is positive definite within the ties, so that the equilibrium is the unique minimum
 
 
 def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
-    """Return the proof that the system of closed contacts (c,) has one solution, and by how much.
+    """Return proven bounds by which the system of closed contacts (c,) has a unique solution.
 
-    Raises NotCertified: it was not found.
+    Raises NotCertified: no proof was found.
     """
     K, scale = _scaled(problem)
     B, length = _rows(sp.vstack([problem.tie, problem.normal[closed]]), scale)
@@ -88,7 +88,7 @@ def regular(problem: ContactProblem, closed: Any, solution: Solution) -> Bounds:
 
 
 def is_convex(problem: ContactProblem) -> bool:
-    """Return whether the stiffness is proven to be positive definite on the motions that the ties leave."""
+    """Return whether the stiffness is proven to be positive definite on the motions allowed by the ties."""
     K, scale = _scaled(problem)
     B, _ = _rows(sp.csr_matrix(problem.tie), scale)
     h = largest_row_sum(K) + largest_row_sum(abs(B).T @ abs(B))
@@ -98,8 +98,8 @@ def is_convex(problem: ContactProblem) -> bool:
 def enclose(refined: Refined) -> Enclosure:
     """Return proven radii around all components of a refined answer.
 
-    Raises NotCertified: the system is not proven to be regular (redundant contacts, floating bodies that nothing holds,
-    floats too ill-conditioned), or a force or a gap is not proven to be positive (a contact that just touches).
+    Raises NotCertified: the system is not proven to be regular (redundant contacts, floating bodies, ill-conditioned
+    data), or a force or a gap is not proven to be positive (a contact that just touches).
     """
     problem, closed = refined.problem, refined.closed
     tell("prove the contact set")
@@ -122,14 +122,14 @@ def enclose(refined: Refined) -> Enclosure:
 
 
 def _scaled(problem: ContactProblem) -> tuple[Any, Floats]:
-    """Return D K D, whose diagonal is about one, and the diagonal (n,) of D; its entries are powers of two."""
+    """Return D K D, with a diagonal of about one, and the diagonal (n,) of D, of powers of two."""
     scale = _power_of_two(problem.diagonal)
     D = sp.diags(scale)
     return sp.csc_matrix(D @ sp.csc_matrix(problem.stiffness) @ D), scale
 
 
 def _rows(rows: Any, scale: Floats) -> tuple[Any, Floats]:
-    """Return rows times D, scaled to lengths of about one, and the factors by which they were scaled."""
+    """Return rows times D, scaled to lengths of about one, and their scales."""
     rows = sp.csr_matrix(rows)
     largest = _largest(rows, scale)
     length = _power_of_two(_squares(rows, scale, largest)) / largest
@@ -137,7 +137,7 @@ def _rows(rows: Any, scale: Floats) -> tuple[Any, Floats]:
 
 
 def _largest(rows: Any, scale: Floats) -> Floats:
-    """Return a power of two near the largest entry of each row times D, so that squares of what is left are doubles."""
+    """Return a power of two near the largest entry of each row times D, so that squares do not overflow."""
     entries = sp.csr_matrix(abs(sp.csr_matrix(rows)) @ sp.diags(scale))
     most = entries.max(axis=1).toarray().ravel() if entries.shape[0] and entries.shape[1] else np.ones(rows.shape[0])
     return np.asarray(np.exp2(np.round(np.log2(np.where(most > 0, most, 1.0)))))
@@ -150,13 +150,13 @@ def _squares(rows: Any, scale: Floats, largest: Floats) -> Floats:
 
 
 def _terms(B: Any) -> float:
-    """Return how many terms are added up in an entry of B'B and BB', and some more for forming these."""
+    """Return the number of terms of an entry of B'B and BB', with some more for forming these."""
     down, across = np.diff(sp.csc_matrix(B).indptr), np.diff(B.indptr)
     return float(np.max(across, initial=0)) + float(np.max(down, initial=0)) + 4
 
 
 def _power_of_two(squares: Any) -> Floats:
-    """Return the powers of two nearest to 1/sqrt of positive numbers; scaling by them rounds nothing."""
+    """Return the powers of two nearest to 1/sqrt of positive numbers, for scaling without rounding."""
     squares = np.asarray(squares, dtype=float)
     return np.exp2(-np.round(np.log2(np.where(squares > 0, squares, 1.0)) / 2))
 
@@ -165,7 +165,7 @@ def _norm(values: Fixed, scale: Floats) -> float:
     """Return an upper bound of |diag(scale) x|."""
     largest = values.exponent
     magnified = values.floats_at(-largest) * scale
-    # What has underflown is beneath the term added.
+    # Underflow is covered by the added term.
     return float((np.linalg.norm(magnified) + 1e-280 * len(scale)) * SAFE * 2.0 ** max(largest, -900))
 
 
@@ -185,29 +185,29 @@ def _refuse_undecided(refined: Refined, push: Floats, gap: Floats) -> None:
         )
 
 
-# Bodies that floats leave free to move: held where nothing pushes, so that everything else can be enclosed.
+# Floating bodies are held at some unknowns, so that everything else can be enclosed.
 #
-# K z = 0 holds to rounding only where z is a motion of assembled bodies, and what rounding leaves of the load along z
-# has nothing to balance it. As many unknowns as there are motions are therefore held where floats leave them, which
-# neither strains nor loads anything; what the holding carries is enclosed with the rest, and has to be rounding.
+# For motions z of assembled bodies K z = 0 holds only up to rounding, and nothing balances the rounding of the load
+# along z. Therefore one unknown per motion is held at its computed value, without strain or load; the forces of these
+# constraints are enclosed with the rest, and must be of rounding size.
 
-# What may be held, as a part of all forces that there are.
+# The largest force of holding constraints, relative to all forces.
 PART_THAT_MAY_BE_HELD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A problem with ties in addition that hold its free motions."""
+    """A problem with additional ties that hold its free motions."""
 
     problem: ContactProblem
-    unknowns: Indices  # (r,) held, one a motion
-    free: Solution  # of the problem as it was
+    unknowns: Indices  # (r,) held unknowns, one per motion
+    free: Solution  # of the original problem
 
 
 def hold(problem: ContactProblem, solution: Solution) -> Held:
-    """Return the problem with one unknown a free motion tied to where the solution has it."""
+    """Return the problem with one unknown per free motion tied to its value in the solution."""
     motions = np.array([motion.direction for motion in solution.free_motions])
-    # Column pivots are unknowns whose rows of the motions are independent, and well so.
+    # Column pivots are unknowns with well-conditioned independent rows of the motions.
     order = scipy.linalg.qr(motions, mode="r", pivoting=True)[1]
     unknowns = np.sort(order[: len(motions)])
     rows = sp.identity(problem.dimension, format="csr")[unknowns]
@@ -218,9 +218,9 @@ def hold(problem: ContactProblem, solution: Solution) -> Held:
 
 
 def carried(held: Held, refined: Refined, radius: Floats) -> str:
-    """Say where free motions are held, and bound the force that holds them.
+    """Return a note on the held unknowns, with a bound of the holding forces.
 
-    Raises NotCertified: it carries more than rounding: the motions are not free.
+    Raises NotCertified: the forces exceed rounding, so that the motions are not free.
     """
     problem = held.problem
     first = problem.ties - len(held.unknowns)
@@ -259,9 +259,9 @@ OVERESTIMATED = 8.0
 def prove_by_enclosure(asked: Asked) -> ExactSolution:
     """Return intervals that contain all displacements and forces of the equilibrium, proven.
 
-    Raises NotCertified: the contact set is not proven: contacts that just touch, redundant ones, bodies that float;
-    NotConverged: refinement ends too early; NoEquilibrium: there is none, by a proof in floats; Unsupported: friction,
-    or a stiffness too large to be factorised.
+    Raises NotCertified: the contact set is not proven: contacts that just touch, redundant ones, floating bodies;
+    NotConverged: refinement ends too early; NoEquilibrium: proven in floats; Unsupported: friction, or a stiffness too
+    large to be factorised.
     """
     problem = asked.problem
     if problem.frictional:
@@ -282,7 +282,7 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
     if held is not None:
         try:
             refined = refine(held.problem, asked.method, **asked.options)
-        except NoEquilibrium as error:  # of the held problem: of this one there is an answer
+        except NoEquilibrium as error:  # this problem has an answer, though the held one has not
             text = f"exact: free motions that are held where floats leave them miss contacts that just touch: {error}"
             raise NotCertified(text, held.free) from None
     assert refined is not None

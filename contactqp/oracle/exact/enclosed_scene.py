@@ -1,8 +1,8 @@
-"""Enclosures of the answer of a scene whose geometry is irrational: its square roots as balls, and all that follows.
+"""Enclose the answer of a scene with irrational geometry in balls (intervals with midpoint and radius).
 
-The scene is assembled anew with balls in place of irrational numbers, the linear system of the combination that floats
-propose is solved in balls (which proves that it is regular), and every sign that the problem asks for is proven to be
-strictly right. What lies on the edge, a contact that just touches, cannot be told from one that does not.
+The scene is assembled with balls for irrational numbers, the linear system of the contact states found in floating
+point is solved in balls (which proves that it is regular), and all required signs are proven to be strict. A contact
+that just touches is undecidable.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from contactqp.scene.scene import Scene
 
 
-# Real numbers known to lie in balls mid +- radius (flint's arb), which compute with Fractions in formulas.
+# Real numbers enclosed in balls mid +- radius (flint's arb), which can be combined with Fractions in formulas.
 
 
 class Ball:
-    """A number of a scene, and everything that rounding may have done to it; the precision is flint's at the time.
+    """A number of a scene with a bound of its rounding error, in flint's current precision.
 
     >>> two = root(Fraction(2)) ** 2
     >>> two > Fraction(1), two > 2, 2 > two, two.value.contains(2)
@@ -78,19 +78,19 @@ class Ball:
         return Ball(abs(self.value))
 
     def __gt__(self, other: Any) -> bool:
-        """Return whether the ball is proven to be greater; False where that cannot be decided."""
+        """Return whether the ball is proven to be greater, False if undecided."""
         return bool(self.value > to_arb(other))
 
     def __lt__(self, other: Any) -> bool:
         return bool(self.value < to_arb(other))
 
     def __bool__(self) -> bool:
-        """Return False where the number is known to be zero, else True."""
+        """Return False if the number is known to be zero, else True."""
         return not self.value.is_zero()
 
 
 def root(square: Any) -> Ball:
-    """Return the square root of a number that is not negative."""
+    """Return the square root of a nonnegative number."""
     return Ball(to_arb(square).sqrt())
 
 
@@ -107,7 +107,7 @@ def _arb_of(value: Any) -> arb | None:
         return value.value
     if isinstance(value, Rational):
         return arb(from_fraction(Fraction(value)))
-    return None  # a float may be rounded: nothing rigorous can be said of it
+    return None  # floats may be rounded, so that a proof is impossible
 
 
 def _made(other: Any, operation: Callable[[arb], arb]) -> Any:
@@ -116,7 +116,7 @@ def _made(other: Any, operation: Callable[[arb], arb]) -> Any:
 
 
 def midpoint(value: arb) -> Fraction:
-    """Return the midpoint, a dyadic number, as it stands."""
+    """Return the exact midpoint, a dyadic number."""
     return fraction(value.mid().fmpq())
 
 
@@ -126,11 +126,11 @@ def radius(value: arb) -> float:
     return rounded_up(exact)
 
 
-# Bits; the second where signs are not decided, or cancellation has eaten the first.
+# Precisions in bits; the second is used if the first does not decide all signs.
 PRECISIONS = (256, 1024, 4096)
-# Every component that is not zero is known to this part of itself, or the next precision is tried.
+# The required relative radius of nonzero components; otherwise the next precision is tried.
 ENOUGH = 1e-15
-# Dense systems in balls of some hundred unknowns take seconds.
+# The most unknowns: dense systems in balls of some hundred unknowns take seconds.
 MOST_UNKNOWNS = 400
 
 Rows = list[list[arb]]
@@ -144,7 +144,7 @@ class Balls:
     f: list[arb]
     E: Rows
     g: list[arb]
-    T: Rows  # one a contact, none without friction
+    T: Rows  # one per contact, none without friction
     friction: list[arb]
     origin: list[arb]
     A: Rows
@@ -153,7 +153,7 @@ class Balls:
 
 @dataclass(frozen=True, eq=False)
 class Enclosed:
-    """Balls of an answer whose signs are strict."""
+    """Balls of an answer with strict signs."""
 
     u: list[arb]
     push: list[arb]
@@ -170,7 +170,7 @@ def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
     """Return the answer in balls.
 
     Raises NotCertified: a sign cannot be decided; Unsupported: too many unknowns, friction in space, a singular system,
-    floats that propose nothing.
+    or no answer in floating point.
     """
     problem = asked.problem
     if problem.dimension > MOST_UNKNOWNS:
@@ -240,7 +240,9 @@ def _row(row: Mapping[str, Any], place: Mapping[str, int]) -> list[arb]:
 
 
 def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
-    """Refuse a stiffness that may be indefinite: elements are semidefinite one by one, given matrices need not be."""
+    """Raise Unsupported if the stiffness may be indefinite; elements are semidefinite, but given matrices need not
+    be.
+    """
     if all(element.semidefinite for _, element in scene.elements):
         return
     pivots = [list(row) for row in balls.K]
@@ -253,7 +255,7 @@ def _refuse_indefinite(scene: Scene, balls: Balls) -> None:
 
 
 def _solved(balls: Balls, states: tuple[str, ...], drags: list[float]) -> Enclosed:
-    """Return the system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
+    """Return the solution of the system of `contactqp.oracle.exact.rational_equilibrium` in balls."""
     n, m = len(balls.f), len(balls.g)
     closed = [i for i, word in enumerate(states) if word not in ("open", "grazing")]
     stuck = [i for i in closed if states[i] == "stick"]
@@ -287,7 +289,7 @@ def _solved(balls: Balls, states: tuple[str, ...], drags: list[float]) -> Enclos
 
 
 def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any) -> str:
-    """Return the first sign that is not strictly right, in words, or nothing."""
+    """Return the first sign that is not proven strictly, in words, or ""."""
     for i, word in enumerate(states):
         if word in ("open", "grazing"):
             if not found.gap[i] > 0:
@@ -303,7 +305,7 @@ def _undecided(balls: Balls, states: tuple[str, ...], found: Enclosed, name: Any
 
 
 def _is_sharp(value: arb) -> bool:
-    """Return whether an interval is narrow relative to its number, or so small that the number may be zero."""
+    """Return whether an interval is narrow relative to its number, or small enough for a zero."""
     size, off = abs(float(value.mid())), float(value.rad())
     return off <= ENOUGH * size or off < 1e-60
 

@@ -1,4 +1,4 @@
-"""`exact`: the equilibrium in rational numbers, or enclosed, and proven."""
+"""Compute the proven equilibrium in rational numbers or intervals (`exact`)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from contactqp.scene.building import NodeModel
 
 
-# What an exact answer is asked of on the command line: a case file, or a problem of another code.
+# Inputs of the command line: a case file, or a problem of another code.
 
 
 def read_case(path: str) -> Any:
-    """Return a Scene of a TOML file or standard input; whatever `contactqp.read_problem` reads of anything else."""
+    """Return the Scene of a TOML file or standard input, else the problem read by `contactqp.read_problem`."""
     is_case = path == STANDARD_INPUT or case_path(path).suffix.lower() == ".toml"
     return load_scene(path) if is_case else read_problem(path)
 
@@ -41,9 +41,9 @@ def tie_names(case: Any, ties: int) -> tuple[str, ...]:
 FLOATS = "the problem's floats as they stand"
 CASE = "the case's own numbers"
 BODY = "the floats of the assembled bodies as they stand"
-# Unknowns, contacts and ties whose rational numbers take a second, and some ten seconds.
+# Numbers of unknowns, contacts and ties that take about one second, and some ten seconds, in rational numbers.
 RATIONAL, RATIONAL_AT_LAST, RATIONAL_WITH_FRICTION = 300, 700, 500
-# Whatever is asked for: matrices of rational numbers are dense.
+# The upper limit in any case, as matrices of rational numbers are dense.
 MOST_OF_A_CASE = 1500
 
 
@@ -52,15 +52,14 @@ MOST_OF_A_CASE = 1500
 def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = None, **options: Any) -> ExactSolution:
     """Return the exact answer to a contact problem.
 
-    A floating-point method proposes which contacts are closed (and which of them stick and slip); the linear system of
-    that proposal is solved in rational numbers, and every statement of the problem is checked in them, with no
-    tolerance. What does not hold corrects the proposal; at last Lemke's method in rational numbers finds the answer or
-    proves that there is none.
+    A floating-point method proposes the closed contacts (and which of them stick and slip). The linear system of that
+    proposal is solved in rational numbers, and all conditions are checked without tolerance. Violated conditions
+    correct the proposal; if this fails, Lemke's method in rational numbers finds the answer or proves that there is
+    none.
 
     Larger problems, and scenes whose lengths are irrational, are enclosed: every number is an interval mid +- radius
-    that is proven to hold the exact one (`contactqp.oracle.exact.enclosed_answer`,
-    `contactqp.oracle.exact.enclosed_scene`). Bodies that float freely are then held where floats rest them; a note says
-    where, and what the holding carries.
+    proven to contain the exact one (`contactqp.oracle.exact.enclosed_answer`, `contactqp.oracle.exact.enclosed_scene`).
+    Floating bodies are then held at their floating-point position; a note has the held unknowns and their forces.
 
     Parameters
     ----------
@@ -82,14 +81,14 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     Raises
     ------
     NoEquilibrium
-        Proven: the constraints conflict, or the load drives a motion that nothing holds.
+        Proven: the constraints conflict, or the load drives a motion that nothing resists.
     SeveralEquilibria
-        On a load path with friction, several ways to go on.
+        A load path with friction has several continuations.
     NotCertified, NotConverged
-        Nothing could be proven.
+        No proof was found.
     Unsupported
         Motions and large deformations, friction on paths of bodies or with irrational numbers, irrational slip
-        directions; a stiffness that rounding has made indefinite, or that was printed and is singular to rounding only.
+        directions; a stiffness that is indefinite by rounding, or was printed and is singular up to rounding only.
     BackendMissing
         python-flint is not installed.
 
@@ -111,7 +110,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     (['1', '1'], ['0', '2'])
     """
     started = time.perf_counter()
-    importlib.import_module("contactqp.linalg.rational")  # which says so where python-flint is missing
+    importlib.import_module("contactqp.linalg.rational")  # raises BackendMissing without python-flint
     if isinstance(problem, ContactProblem):
         if problem.rigid_change > 0:
             raise Unsupported(
@@ -160,7 +159,7 @@ def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
     except Indefinite as indefinite:
         if enclosed_first or enclose is not None:
             raise
-        try:  # as a strict local minimum
+        try:  # proven as a strict local minimum
             return prove_by_enclosure(asked)
         except (NoEquilibrium, NotCertified, NotConverged):
             raise indefinite from None
@@ -197,7 +196,7 @@ def _of_scene(
     from contactqp.oracle.exact.rational_problem import of_scene
     from contactqp.scene.building import NodeModel as Nodes
 
-    assert isinstance(model, Nodes)  # a scene without meshes is one of nodes
+    assert isinstance(model, Nodes)  # scenes without meshes consist of nodes
     if model.problem.dimension > MOST_OF_A_CASE:
         raise Unsupported(
             f"exact: a case of {model.problem.dimension} unknowns, too many for rational numbers (at most "
@@ -217,7 +216,7 @@ def _of_scene(
 
 
 def _corners(model: NodeModel) -> list[Any]:
-    """Return the exact loads (n, 1) of the path's corners on the free unknowns."""
+    """Return the exact loads (n, 1) on the free unknowns at the corners of the path."""
     from contactqp.linalg.rational import column
     from contactqp.scene.schema import end_time
 

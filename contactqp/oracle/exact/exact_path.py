@@ -1,13 +1,13 @@
-"""A load path with Coulomb friction in the plane, in rational numbers, from event to event.
+"""Follow a load path with Coulomb friction in the plane, in rational numbers, from event to event.
 
-While no contact opens, closes, starts or stops slipping, all is affine in the load. At each event and corner Coulomb's
-law in rates says how the contacts at a limit go on (`contactqp.analysis.friction_events` states it):
+Between events (a contact opens, closes, starts or stops slipping) all quantities are affine in the load. At each event
+and corner Coulomb's law in rates determines the contacts at a limit (see `contactqp.analysis.friction_events`):
 
     edge of the cone, l_T = e mu l_N:    s' = 0 and e l_T' <= mu l_N'    or    l_T' = e mu l_N' and e s' >= 0
     neither gap nor force:    gap' >= 0    or    gap' = 0, l_N' >= 0 and |l_T'| <= mu l_N', = mu l_N' along s' != 0
 
-Every choice is tried; the path goes on where one way of going on is left, and the law is proven at both ends of every
-piece, whose slips count from rates.
+Every choice is tried, and the path continues if exactly one is admissible. The law is proven at both ends of every
+piece, with slips from rates.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from contactqp.oracle.exact.exact_solution import ExactEvent
 from contactqp.oracle.exact.rational_equilibrium import Combination, System, system_of
 from contactqp.oracle.exact.rational_problem import RationalAnswer, RationalProblem, wrong
 
-# Rates of a load path that the states of the contacts leave open: whether some go on, and whether forces are known.
+# Rates of a load path that are not unique for the contact states: their existence, and uniqueness of forces.
 
 Rooms = Callable[[RationalAnswer], list[fmpq]]
 
 
 class LooseRates:
-    """All solutions of a singular system whose rooms, linear in the rates, are not negative.
+    """All solutions of a singular system with nonnegative slacks that are linear in the rates.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class LooseRates:
 
     Attributes
     ----------
-    empty : bool, whether there is none, which is proven
+    empty : bool, whether it is proven that there is none
     forces_known : bool, whether all of them have the same contact forces
     """
 
@@ -88,7 +88,7 @@ def _transposed(columns: list[list[Fraction]], rows: int) -> list[list[Fraction]
     return [[column[i] for column in columns] for i in range(rows)]
 
 
-# Closed without friction, beside the states of contacts with friction.
+# The state of closed contacts without friction, in addition to those with friction.
 WORDS: dict[int, str] = {OPEN: "open", CLOSED: "closed", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 SLIPPING = (SLIP_BACK, SLIP_ON)
 MOST_TRIED = 4096
@@ -99,7 +99,7 @@ States = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class PathEnd:
-    """The end of a path: its answer, the states in which it was reached, and all events."""
+    """The end of a path: its answer, the last contact states, and all events."""
 
     answer: RationalAnswer
     status: tuple[str, ...]
@@ -108,11 +108,10 @@ class PathEnd:
 
 
 def follow(data: RationalProblem, corners: Sequence[fmpq_mat], names: Sequence[str]) -> PathEnd:
-    """Return the end of the path that loads take in straight lines from rest without load to each corner (n, 1) in
-    turn.
+    """Return the end of the path on which the load goes linearly from zero, at rest, to each corner (n, 1) in turn.
 
-    Raises NoEquilibrium: at a load from which no states go on; SeveralEquilibria: several do, and nothing chooses;
-    Unsupported: the path does not start at rest, rates are not unique, or friction in space.
+    Raises NoEquilibrium: no states continue at some load; SeveralEquilibria: several do; Unsupported: the path does not
+    start at rest, rates are not unique, or friction in space.
     """
     if data.width != 1:
         raise Unsupported("exact: friction on a load path in space, where slip directions turn")
@@ -187,7 +186,7 @@ class _Walk:
             if known is None:
                 found.append((states, rate))
             elif states.count(STICK) > found[known][0].count(STICK):
-                found[known] = states, rate  # what does not slip is called stuck
+                found[known] = states, rate  # all that do not slip count as sticking
         if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
             raise Unsupported(f"exact: {at}: motions are not unique in rates")
         if not found:
@@ -198,7 +197,7 @@ class _Walk:
         return found[0]
 
     def _is_of(self, states: States, rate: RationalAnswer) -> bool:
-        """Return whether a continuation is one in these states too, where they leave a motion free: then it rests."""
+        """Return whether a continuation is also one in these states, which leave a motion free that then rests."""
         approach, slips = (self.data.E * rate.displacement).entries(), (self.data.T * rate.displacement).entries()
         for i, state in enumerate(states):
             push, drag = rate.normal_force[i, 0], rate.friction_force[i, 0]
@@ -232,9 +231,7 @@ class _Walk:
         return combinations_of(choices)
 
     def _rooms(self, states: States, rate: RationalAnswer) -> list[fmpq]:
-        """Return the law in rates at contacts that are at a limit: linear in the rates, none of it negative where it
-        holds.
-        """
+        """Return the conditions on rates of contacts at a limit: linear functions that must not be negative."""
         gaps = (-1 * self.data.E * rate.displacement).entries()
         slips = (self.data.T * rate.displacement).entries()
         now = self.data.gap(self.answer.displacement).entries()
@@ -255,7 +252,7 @@ class _Walk:
         return rooms
 
     def _ahead(self, rate: RationalAnswer) -> fmpq:
-        """Return how far the next limit is, as a part of the leg, or 1."""
+        """Return the distance to the next limit as a part of the leg, at most 1."""
         nearest = fmpq(1)
         gaps, rates = self.data.gap(self.answer.displacement).entries(), (self.data.E * rate.displacement).entries()
         for i, state in enumerate(self.states):
@@ -271,7 +268,7 @@ class _Walk:
         return nearest
 
     def _prove(self, load: fmpq_mat, rate: RationalAnswer) -> None:
-        """Prove every statement, slips counted from where each contact would be without its rate of slip."""
+        """Prove all conditions, with slips from the position of each contact without its rate of slip."""
         moved = self.data.T * rate.displacement
         origin = self.data.T * self.answer.displacement
         for i, state in enumerate(self.states):

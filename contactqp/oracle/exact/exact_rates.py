@@ -1,17 +1,17 @@
-"""Derivatives of exact answers in Fractions, towards either side.
+"""Compute one-sided derivatives of exact answers in Fractions.
 
 Without friction the displacement changes at the rate du that minimises 1/2 du'K du - df'du over the changes
 
-    E_i du = dg_i    where a contact stays closed,    E_i du <= dg_i    where another touches,    A du = db,
+    E_i du = dg_i    for contacts with force,    E_i du <= dg_i    for others that touch,    A du = db,
 
-which is one more problem in rational numbers. Redundant contacts share the force r = f - K u in many ways; then those
-stay closed that push in one of the ways in which l'dg + nu'db is least (Shapiro, SIAM J. Control Optim. 26, 1988).
+which is another problem in rational numbers. If the forces that balance r = f - K u are not unique, the contacts remain
+closed that have a force in one of the solutions with least l'dg + nu'db (Shapiro, SIAM J. Control Optim. 26, 1988).
 
-With friction in the plane contacts keep the states that they are in exactly; those at the border of two states, and
-those that can share their forces with others, may go to any that their slip admits. Forces are sums of gamma >= 0 times
-the edges E_i + s mu_i T_i of Coulomb's cones, s = +1 and -1 of a contact that sticks and along its slip else. In each
-combination of states whose edges can exert f - K u rates solve a linear system in du, dgamma and dnu, with dgamma >= 0
-where gamma is zero in all ways to exert it; contacts that open do not close, and slips that begin do so along s.
+With friction in the plane contacts keep their states, except those at the border of two states or with forces that are
+not unique, which may change to any state compatible with their slip. Forces are sums of gamma >= 0 times the edges E_i
++ s mu_i T_i of Coulomb's cones, with s = +1 and -1 for sticking contacts, else the direction of slip. In each
+combination of states whose edges can balance f - K u, rates solve a linear system in du, dgamma and dnu, with dgamma >=
+0 where gamma is always zero; opening contacts must not close, and slips must begin along s.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from contactqp.oracle.exact.rational_problem import MOST_PIVOTS, Family, Rationa
 FORCES = ("normal_force", "friction_force", "tie_force")
 QUANTITIES = (*FORCES, "displacement", "gap", "slip", "reaction", "energy")
 PARAMETERS = ("load", "gap", "tie_value", "friction", "slip_origin", "stiffness", "rows")
-# Along these the answer is linear while contacts keep their states.
+# Parameters in which the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-# Combinations of states of contacts at a border, at most.
+# The most combinations of states of contacts at a border.
 MOST = 1024
 CANNOT = "contacts that touch, and ties, cannot change their gaps and values so"
 DRIVEN = "the direction drives a motion that nothing holds"
@@ -63,7 +63,7 @@ SINGULAR = "in a combination of states that may come the rates are not unique"
 SMOOTH = "no contact has friction: rates by coefficients are those of problems that have some"
 
 
-# States of all contacts, and what data change at.
+# States of all contacts, and rates of the data.
 States: TypeAlias = tuple[int, ...]
 Along: TypeAlias = dict[str, fmpq_mat]
 
@@ -72,8 +72,8 @@ Along: TypeAlias = dict[str, fmpq_mat]
 def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direction: Any) -> ExactDerivative:
     """Return the exact rates of a quantity of an exact answer; names as in `Solution.derivative`.
 
-    Raises InvalidProblem: a name that is none of these, a wrong shape, or numbers that are not finite; Unsupported: an
-    enclosed answer, one of a case's own numbers, friction in space, or too many contacts at a border.
+    Raises InvalidProblem: an unknown name, a wrong shape, or numbers that are not finite; Unsupported: an enclosed
+    answer, one of the exact numbers of a case, friction in space, or too many contacts at a border.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direc
 
 
 class _ExactRates:
-    """The data and the states of an exact answer."""
+    """The data and contact states of an exact answer."""
 
     def __init__(self, answer: ExactSolution) -> None:
         self.answer, self.data = answer, of_floats(answer.problem)
@@ -116,11 +116,11 @@ class _ExactRates:
         states = tuple(STICK if STICK in choices else choices[-1] for choices in widest)
         self.exerted = self.data.f - self.data.K * self.u
         cones = _cones_that_exert(self.exerted, self.data, states)
-        assert cones is not None  # the answer's own forces are in these
+        assert cones is not None  # the states of the answer's forces
         self.cones, self.shared = cones, cones.contacts_that_share()
 
     def _choices(self, i: int, shares: bool = False) -> tuple[int, ...]:
-        """Return the states that a contact may go to, as one that shares its force may; SLIP_ON without friction."""
+        """Return the states to which a contact may change if its force is not unique; SLIP_ON without friction."""
         answer, mu, word = self.answer, self.data.friction[i], self.answer.contact_status[i]
         if word == "open":
             return (OPEN,)
@@ -136,7 +136,7 @@ class _ExactRates:
         return (STICK,) if abs(drag) < fraction(mu) * answer.normal_force[i] else (STICK, along)
 
     def read(self, parameter: str, direction: Any) -> Along:
-        """Return load, gap, slip, tie and friction of the rates, as columns, and what a matrix changes."""
+        """Return the rates of load, gap, slip, tie and friction as columns, and those due to a changed matrix."""
         data, problem = self.data, self.answer.problem
         shapes = dict(
             load=(data.unknowns,), gap=(data.contacts,), tie_value=(data.ties,), friction=(data.contacts,),
@@ -165,7 +165,7 @@ class _ExactRates:
         return along
 
     def rates(self, of: str, along: Along) -> tuple[Any, Fraction | float | None] | str:
-        """Return the exact rates of a quantity towards a direction and how far they reach, or why there are none."""
+        """Return the exact rates of a quantity along a direction and their reach, or the reason why there are none."""
         if self.sharing is not None:
             return self._without_friction(of, along, self.sharing)
         if any(self._is_still(i) for i, change in enumerate(along["friction"].entries()) if change != 0):
@@ -187,12 +187,12 @@ class _ExactRates:
         return found[0][0], max(reach for _, reach in found)
 
     def _is_still(self, i: int) -> bool:
-        """Return whether a contact that pushes, or may, has neither friction nor slip."""
+        """Return whether a contact that may have a force has neither friction nor slip."""
         slip, pushes = self.answer.slip, self.answer.normal_force[i] > 0 or i in self.shared
         return self.data.friction[i] == 0 and pushes and slip is not None and slip[i, 0] == 0
 
     def _without_friction(self, of: str, along: Along, sharing: _Sharing) -> tuple[Any, Fraction | float | None] | str:
-        """Return the rates of a quantity and how far they reach, or why there are none, without friction."""
+        """Return the rates of a quantity without friction and their reach, or the reason why there are none."""
         data, touching = self.data, sharing.contacts
         if not is_zero(along["friction"]):
             return SMOOTH
@@ -231,15 +231,15 @@ class _ExactRates:
         return rates[of], min([ahead.reach(least), *steps])
 
     def _in_states(self, states: States, of: str, along: Along) -> tuple[Any, Fraction | float] | str | None:
-        """Return the rates of a quantity in a combination of states and how far they reach, or why there are none.
+        """Return the rates of a quantity in a combination of states and their reach, or the reason why there are none.
 
-        None where the combination cannot exert the forces of the answer, or does not go on doing so.
+        None if the combination cannot exert the forces of the answer, or not beyond it.
         """
         data, cones = self.data, _cones_that_exert(self.exerted, self.data, states)
         if cones is None:
             return None
         turned, ways = cones.turned(along), cones.family.directions
-        if is_zero(turned * ways):  # however the force is shared, the same is exerted besides
+        if is_zero(turned * ways):  # the same additional force for all force distributions
             ways = zeros(cones.rows.nrows(), 0)
         n, c = data.unknowns, [i for i, s in enumerate(states) if s != OPEN]
         b, idle = [i for i, s in enumerate(states) if s == STICK], data.idle_ties
@@ -275,8 +275,8 @@ class _ExactRates:
     def _conditions(self, states: States, cones: _Cones, along: Along, ways: fmpq_mat) -> tuple[fmpq_mat, fmpq_mat]:
         """Return (q, 1) and (q, n + p + k + r): the first plus the second times rates must not be negative.
 
-        They are rates of edges without size, of gaps of contacts that touch and open, of slips that begin, and, where r
-        ways to share the force count, sizes.
+        They are rates of edges of size zero, of gaps of touching contacts that open, of beginning slips, and, if r
+        parameters of the force distribution count, sizes.
         """
         data, n, size = self.data, self.data.unknowns, cones.rows.nrows()
         grow = [n + place for place in range(len(cones.edges)) if not cones.presses(place)]
@@ -293,12 +293,12 @@ class _ExactRates:
         )
 
     def _begins(self, i: int, state: int) -> bool:
-        """Return whether a contact that has not slipped does so in a state."""
+        """Return whether a contact without slip begins to slip in a state."""
         slip = self.answer.slip
         return bool(abs(state) == 1 and self.data.friction[i] and slip is not None and not slip[i, 0])
 
     def _events(self, states: States, rates: dict[str, Any]) -> Iterator[Fraction]:
-        """Yield the steps at which contacts close, or stop slipping; what is at a border already moves away from it."""
+        """Yield the steps at which contacts close, or stop slipping; those at a border already move away from it."""
         answer, mu = self.answer, self.data.friction
         pairs = list(zip(answer.gap, rates["gap"], strict=True))
         for i, state in enumerate(states):
@@ -308,7 +308,7 @@ class _ExactRates:
         yield from (size / -rate for size, rate in pairs if size > 0 > rate)
 
     def _quantities(self, du: fmpq_mat, forces: list[fmpq_mat], along: Along) -> dict[str, Any]:
-        """Return the rates of all quantities from those of displacements, and of normal, friction and tie forces."""
+        """Return the rates of all quantities from those of displacements, normal, friction and tie forces."""
         data, m = self.data, self.data.contacts
         parts = dict(zip(FORCES, forces, strict=True)) | dict(displacement=du, gap=along["gap"] - data.E * du)
         parts["reaction"] = along["own"] + along["strained"] - data.K * du
@@ -322,16 +322,16 @@ class _ExactRates:
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """The edges of the cones that contact forces are in, and all sizes of edges and ties that exert one force."""
+    """The edges of the cones of contact forces, and all sizes of edges and ties that exert a given force."""
 
     data: RationalProblem
-    edges: tuple[tuple[int, int], ...]  # contact, and the side of its friction
+    edges: tuple[tuple[int, int], ...]  # contact, and direction of its friction
     rows: fmpq_mat  # (p + k, n) E_i + side mu_i T_i of each edge, and ties
-    family: Family  # sizes (p + k,) of these, of which those of edges are not negative
-    sizes: fmpq_mat  # (p + k, 1) some of them
+    family: Family  # sizes (p + k,) of these, nonnegative for edges
+    sizes: fmpq_mat  # (p + k, 1) one solution
 
     def presses(self, place: int) -> bool:
-        """Return whether an edge has a size in one of the ways to exert the force."""
+        """Return whether an edge has a positive size in some solution."""
         return place not in self.family.zero_rooms
 
     def contacts_that_share(self) -> frozenset[int]:
@@ -340,7 +340,7 @@ class _Cones:
         return frozenset(i for place, (i, _) in enumerate(self.edges) if not same(unit_rows(size, [place])))
 
     def forces(self, of: str) -> fmpq_mat:
-        """Return the matrix that takes sizes to normal, friction or tie forces."""
+        """Return the matrix that maps sizes to normal, friction or tie forces."""
         count, mu = len(self.edges), self.data.friction
         if of == "tie_force":
             return unit_rows(count + self.data.ties, range(count, count + self.data.ties))
@@ -354,9 +354,9 @@ class _Cones:
         return self.family.are_same(self.forces(of))
 
     def widened(self, along: Along) -> fmpq_mat:
-        """Return the matrix that takes sizes to the rates of friction that changed coefficients make.
+        """Return the matrix that maps sizes to the rates of friction due to changed coefficients.
 
-        A contact that sticks within its cone does so at any coefficient.
+        A contact that sticks strictly within its cone is not affected.
         """
         found = zeros(self.data.contacts, self.rows.nrows())
         for place, (i, side) in enumerate(self.edges):
@@ -366,20 +366,20 @@ class _Cones:
         return found
 
     def turned(self, along: Along) -> fmpq_mat:
-        """Return the matrix (n, p + k) that takes sizes to the force that they exert besides along a direction."""
+        """Return the matrix (n, p + k) that maps sizes to their additional force along a direction."""
         found = self.widened(along).transpose() * self.data.T
         if along["rows"].nrows():
             found += self.forces("normal_force").transpose() * along["rows"]
         return found.transpose()
 
     def reach(self, rates: fmpq_mat) -> Fraction | float:
-        """Return the largest step along rates of the sizes (p + k, 1) to which the edges can exert the force."""
+        """Return the largest step along rates of the sizes (p + k, 1) up to which the edges can exert the force."""
         sizes, rates = (take(part, range(len(self.edges))) for part in (self.sizes, rates))
         return longest(fractions(sizes), fraction_rows(beside(self.family.slope, rates)))
 
 
 def _cones_that_exert(force: fmpq_mat, data: RationalProblem, states: States) -> _Cones | None:
-    """Return the edges of contacts in some states that exert a force (n, 1) together with ties; None if they cannot."""
+    """Return the edges of contacts in some states that exert a force (n, 1) with the ties, None if they cannot."""
     sides: dict[int, tuple[int, ...]] = {STICK: (1, -1), OPEN: ()}
     edges = tuple((i, side) for i, state in enumerate(states) for side in sides.get(state, (state,)))
     normal, tangent = (take(part, [i for i, _ in edges]) for part in (data.E, data.T))
@@ -401,25 +401,25 @@ def _cones_that_exert(force: fmpq_mat, data: RationalProblem, states: States) ->
 
 @dataclass(frozen=True, eq=False)
 class _Sharing:
-    """The forces of contacts that touch, some of which may not pull, and of all ties, that exert the same force."""
+    """All forces of touching contacts (some without tension) and ties that exert the same nodal force."""
 
     contacts: tuple[int, ...]
-    family: Family  # forces (q + k,), those of contacts first, whose rooms are those of contacts that may not pull
+    family: Family  # forces (q + k,), contacts first, with slacks of contacts without tension
 
     @property
     def pushing(self) -> list[int]:
-        """Return the contacts that push in one of the ways to share the force."""
+        """Return the contacts with a positive force in some solution."""
         ends = zip(self.contacts, self.family.ranges(range(len(self.contacts))), strict=True)
         return [i for i, (_, most) in ends if most is None or most > 0]
 
     def only(self, of: str) -> bool:
-        """Return whether there is only one such normal or tie force; friction there is none."""
+        """Return whether the normal or tie forces are unique; there is no friction."""
         count, size = len(self.contacts), int(self.family.start.nrows())
         entries = dict(normal_force=range(count), tie_force=range(count, size)).get(of, range(0))
         return self.family.are_same(unit_rows(size, entries))
 
     def least(self, cost: fmpq_mat) -> _Sharing | None:
-        """Return the ways in which the product of the forces with a cost (q + k, 1) is least; None if there is none."""
+        """Return the solutions with least product of forces and cost (q + k, 1), None if there is no least one."""
         one, family = cost.transpose(), self.family
         slope = one * family.directions
         if is_zero(slope):
@@ -430,17 +430,17 @@ class _Sharing:
             return None
         start, room_there = (part + move * column(at) for part, move in (
             (family.start, family.directions), (family.room, family.slope)))  # fmt: skip
-        # The last room is by how much the product is below the least.
+        # The last slack is the least product minus the product.
         there = Family(start, family.directions, stack(room_there, zeros(1, 1)), stack(family.slope, -1 * slope))
         return replace(self, family=there)
 
     def exert_one(self, turn: fmpq_mat) -> bool:
-        """Return whether turned rows (q, n) of the contacts exert one force, however they share it."""
+        """Return whether turned rows (q, n) of the contacts exert the same force for all solutions."""
         size = self.family.start.nrows()
         return self.family.are_same(turn.transpose() * unit_rows(size, range(len(self.contacts))))
 
     def reach(self, before: _Sharing) -> Fraction | float:
-        """Return the largest step x along which forces `before` + x times these push."""
+        """Return the largest step x for which forces `before` + x times these are nonnegative."""
         place = {i: p for p, i in enumerate(before.contacts)}
         start = take(before.family.start, [place[i] for i in self.contacts])
         ways = take(beside(self.family.directions, self.family.start), range(len(self.contacts)))
@@ -448,16 +448,16 @@ class _Sharing:
 
 
 def _sharing_of(answer: ExactSolution, data: RationalProblem) -> _Sharing:
-    """Return the ways in which the contacts that touch may share the force of an answer without friction."""
+    """Return all force distributions of touching contacts for an answer without friction."""
     touching = tuple(i for i, gap in enumerate(answer.gap) if gap == 0)
     start = stack(column([answer.normal_force[i] for i in touching]), column(answer.tie_force))
     return _shared(data, touching, start, range(len(touching)))
 
 
 def _shared(data: RationalProblem, contacts: tuple[int, ...], start: fmpq_mat, pushing_only: Iterable[int]) -> _Sharing:
-    """Return all forces of contacts and ties that exert what these do (q + k, 1); ties of zeros exert nothing.
+    """Return all forces of contacts and ties with the nodal force of these (q + k, 1), zero for ties of zeros.
 
-    `pushing_only` are the places of the contacts that may not pull.
+    `pushing_only` are the indices of the contacts without tension.
     """
     size, places = int(start.nrows()), list(pushing_only)
     rows = stack(take(data.E, contacts), data.A)
@@ -469,9 +469,9 @@ def _shared(data: RationalProblem, contacts: tuple[int, ...], start: fmpq_mat, p
 def _minimal(
     data: RationalProblem, load: fmpq_mat, along: Along, least: _Sharing
 ) -> tuple[fmpq_mat, _Sharing, fmpq_mat] | None:
-    """Return the rates of displacements without friction, those of forces, and motions (n, r) that may be added.
+    """Return the rates of displacements and forces without friction, and motions (n, r) that may be added.
 
-    None where the load drives a motion that nothing holds.
+    None if the load drives a motion that nothing resists.
 
     Parameters
     ----------

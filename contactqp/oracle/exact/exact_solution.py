@@ -1,4 +1,4 @@
-"""An exact answer: rational numbers, or enclosures, of everything that a `Solution` has."""
+"""Define exact answers: rational numbers, or intervals, for all quantities of a `Solution`."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from contactqp.model.solution import AnswerOf, FreeMotion
 if TYPE_CHECKING:
     from rich.console import Console
 
-# Digits of a midpoint in data and in tables; radii are widened by what is cut off.
+# Digits of a midpoint in data and in tables; radii include the rounding.
 DIGITS, SHOWN_DIGITS = 50, 20
 
 # Rational numbers as doubles and as decimals.
 
-# Two digits of a radius, shown this much larger, are not less than it.
+# The factor by which a radius is increased before rounding to two digits, to remain a bound.
 ROUNDING_UP = 1.06
 
-# Longer fractions are cut out of tables, not out of data.
+# Longer fractions are shortened in tables, not in data.
 WIDEST = 44
 
 
 def nearest(x: Fraction) -> float:
-    """Return the nearest double, infinite beyond the largest: Python divides integers of any size correctly rounded."""
+    """Return the nearest double, infinite on overflow (Python's division of integers is correctly rounded)."""
     try:
         return x.numerator / x.denominator
     except OverflowError:
@@ -48,7 +48,7 @@ def rounded_up(x: Fraction) -> float:
 
 
 def ratio(x: Fraction) -> str:
-    """Return a fraction as the text "p/q", of any length; Python alone refuses to print more than 4300 digits.
+    """Return a fraction as the text "p/q", of any length; Python refuses to print more than 4300 digits.
 
     >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
     ('-7/3', '4')
@@ -59,7 +59,7 @@ def ratio(x: Fraction) -> str:
 
 
 def decimal(x: Fraction, digits: int = DIGITS) -> str:
-    """Return a number rounded to so many significant digits.
+    """Return a number rounded to `digits` significant digits.
 
     >>> decimal(Fraction(2, 3), 5), decimal(Fraction(-1, 800), 5), decimal(Fraction(99999, 10000), 3)
     ('6.6667e-1', '-1.2500e-3', '1.00e1')
@@ -79,7 +79,7 @@ def decimal(x: Fraction, digits: int = DIGITS) -> str:
 
 
 def widened(x: Fraction, radius: float, digits: int) -> float:
-    """Return the radius around the number as it is printed, rounded up."""
+    """Return the radius around the printed number, rounded up."""
     exact = Fraction(radius) + abs(x) * Fraction(1, 10 ** (digits - 1))
     return rounded_up(exact)
 
@@ -96,7 +96,7 @@ def number_data(x: Fraction, radius: float | None) -> dict[str, Any]:
 
 
 def cut(shown: str) -> str:
-    """Return a fraction as tables show it: its beginning alone where it is long."""
+    """Return a fraction for tables, shortened if it is long."""
     return shown if len(shown) <= WIDEST else f"{shown[:12]}... ({len(shown)} digits)"
 
 
@@ -125,11 +125,11 @@ class ExactEvent:
 
 @dataclass(frozen=True, eq=False)
 class ExactDerivative:
-    """Rates in Fractions towards minus and plus a direction; `value` is both where they are one, else None.
+    """Rates in Fractions along minus and plus a direction; `value` is both if they are equal, else None.
 
-    `reach` are the steps (back, ahead) within which no contact changes its state, infinity where none ever does; None
-    where the answer is not linear along the direction. Where contacts share their forces in many ways, they are those
-    within which all that touch can exert the force that is needed.
+    `reach` are the steps (back, ahead) within which no contact changes its state, infinity if none ever does, None if
+    the answer is not linear along the direction. If forces are not unique, these are the steps within which all
+    touching contacts can exert the required force.
     """
 
     value: Any
@@ -142,35 +142,35 @@ class ExactDerivative:
 
 @dataclass(frozen=True, eq=False)
 class ExactSolution(AnswerOf[Fractions, Fractions | None], ReadOnly):
-    """The equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f in numbers that are proven; signs and shapes of `Solution`.
+    """The proven equilibrium K u + E_N'l_N + E_T'l_T + A'nu = f, with the signs and shapes of `Solution`.
 
-    Entries are Fractions: the exact values where `rational`, otherwise the midpoints of intervals mid +- radius, one an
-    entry, that hold the exact values (`radius`). `doubles` has the nearest floats. Where motions are free the
-    displacement is the one of least norm, or, enclosed, where floats have it (see the notes).
+    Entries are Fractions: the exact values if `rational`, otherwise the midpoints of intervals mid +- radius that
+    contain the exact values. `doubles` has the nearest floats. With free motions the displacement is the one of least
+    norm, or for intervals, the floating-point one (see the notes).
     """
 
     problem: ContactProblem = field(repr=False)
     gap: Fractions  # (m,) g - E_N u [length], positive when open
-    slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, since its start
+    slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, from its start
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     rational: bool
-    radius: Parts | None = field(repr=False)  # rounded up; None where rational: all zero
-    unique_forces: bool  # no other contact forces hold this displacement
-    # (m, 2) the least and the largest value of each normal force over all forces that hold the displacement, None where
-    # unbounded. Where they are not unique `normal_force` is the set of least norm: least sum of squares of all contact
-    # forces in the units given, none of them in tension; the ties' are then the least of those that fit. Enclosed
-    # forces are unique: both ends are the midpoint.
+    radius: Parts | None = field(repr=False)  # rounded up; None if rational
+    unique_forces: bool  # whether the contact forces are unique for this displacement
+    # (m, 2) the least and the largest value of each normal force over all forces of this displacement, None if
+    # unbounded. If they are not unique, `normal_force` has the least sum of squares of all contact forces in the given
+    # units without tension, and tie forces are then the least possible ones. Enclosed forces are unique: both ends are
+    # the midpoint.
     force_range: Fractions = field(repr=False)
     free_motions: tuple[FreeMotion, ...]
-    energy: Fraction | None  # 1/2 u'Ku - f'u [force x length]; None where enclosed
-    equilibria: int | None  # with friction, how many displacements are equilibria at this load; None: not counted
-    uniqueness: tuple[str, ...]  # with friction, what is known of other equilibria, as in a certificate
+    energy: Fraction | None  # 1/2 u'Ku - f'u [force x length]; None if enclosed
+    equilibria: int | None  # with friction, the number of equilibria at this load, None if not counted
+    uniqueness: tuple[str, ...]  # with friction, findings on other equilibria, as in a certificate
     events: tuple[ExactEvent, ...]  # of a load path with friction
-    data: str  # whose numbers are solved exactly
+    data: str  # the origin of the exact data
     way: str  # how the answer was found
     proof: tuple[str, ...]  # what was proven
-    notes: tuple[str, ...]  # what else to know
-    method: str  # that proposed the contact set
+    notes: tuple[str, ...]  # further notes
+    method: str  # the method that proposed the contact set
     seconds: float
 
     @property
@@ -207,7 +207,7 @@ def _floats(values: Fractions) -> Floats:
 
 
 def text(answer: ExactSolution) -> str:
-    """Return a few lines: what is exact, the contacts, and what was proven."""
+    """Return a summary of a few lines: kind of answer, contacts, and proofs."""
     problem = answer.problem
     kind = "exact" if answer.rational else "enclosed"
     lines = [f"{kind}, of {answer.data}: {_sizes(problem)}"]
@@ -220,7 +220,7 @@ def text(answer: ExactSolution) -> str:
 
 
 def remarks(answer: ExactSolution) -> Iterator[str]:
-    """Yield what else there is to say of it."""
+    """Yield further remarks on the answer."""
     if not answer.unique_forces:
         yield "contact forces are not unique: those of least norm, with the range of each"
     if answer.equilibria is not None and answer.equilibria > 1:
@@ -233,7 +233,7 @@ def remarks(answer: ExactSolution) -> Iterator[str]:
 
 
 def shown_at(answer: ExactSolution, name: str, *place: int) -> str:
-    """Return one number as tables show it: a fraction, or a midpoint with its radius."""
+    """Return a number for tables: a fraction, or a midpoint with its radius."""
     x: Fraction = getattr(answer, name)[place]
     if answer.radius is None:
         return cut(ratio(x))
@@ -243,7 +243,7 @@ def shown_at(answer: ExactSolution, name: str, *place: int) -> str:
 
 # Exact answers as tables, as text and as data for any language.
 
-# A table of more unknowns is read by nobody.
+# The most unknowns in a table.
 MOST_SHOWN = 200
 SIGNS = (
     "K u + E_N'l_N + E_T'l_T + A'nu = f; normal_force l_N is positive in compression; gap = g - E_N u is positive when "
@@ -253,7 +253,7 @@ SIGNS = (
 
 
 def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> dict[str, Any]:
-    """Return all of it, for JSON; numbers that are exact are text "p/q", doubles are the nearest to them."""
+    """Return all data for JSON; exact numbers are text "p/q", with the nearest doubles."""
     problem, radius = answer.problem, answer.radius
 
     def entry(name: str, *place: int) -> dict[str, Any]:
@@ -306,7 +306,7 @@ def answer_data(answer: ExactSolution, ties: Sequence[str], title: str = "") -> 
 
 
 def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], title: str) -> None:
-    """Print the tables of unknowns, contacts, ties and events of an exact answer, and what was proven of it.
+    """Print the tables of unknowns, contacts, ties and events of an exact answer, and its proofs.
 
     Parameters
     ----------

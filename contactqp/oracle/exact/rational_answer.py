@@ -1,4 +1,4 @@
-"""Solve a problem in rational numbers from what floats propose, and prove it."""
+"""Solve a problem in rational numbers from the contact states found in floating point, with a proof."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from contactqp.oracle.exact.rational_equilibrium import Proposal, Settled, settl
 from contactqp.oracle.exact.rational_problem import RationalProblem, status
 from contactqp.solving.solve import solve
 
-# Lemke's method, asked where no proposed set holds, takes seconds for some hundred pivots.
+# The most pivots of Lemke's method, used if no proposed set is right; some hundred take seconds.
 MOST_PIVOTS = 400
-# Floats and exact answer of the same numbers agree to this part of the largest where the numbers are well-posed.
+# The relative agreement of the floating-point and exact answer of well-posed data.
 AGREE = 1e-6
-# An asymmetry of assembled matrices that nobody wrote down.
+# The largest relative asymmetry due to assembly.
 ROUNDED = 1e-14
 PROVEN = (
     "equilibrium at every unknown",
@@ -52,7 +52,7 @@ class Indefinite(Unsupported):
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A problem in floats, whose exact answer is asked for, and by what the contact set is proposed."""
+    """A problem in floats, and the method that proposes its contact set."""
 
     problem: ContactProblem
     source: str
@@ -62,7 +62,7 @@ class Asked:
 
 
 def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
-    """Return the answer of floats, or the one they gave up with, and why."""
+    """Return the floating-point answer, or the last candidate with the reason of failure."""
     try:
         return solve(asked.problem, asked.method, **asked.options), None
     except (NotCertified, NotConverged) as error:
@@ -75,8 +75,8 @@ def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
 def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
     """Return the exact answer.
 
-    Raises NoEquilibrium: proven in rational arithmetic; NotConverged: no proposed set holds, and Lemke's method did not
-    end; Unsupported: the stiffness as it stands is indefinite, or friction that is not covered.
+    Raises NoEquilibrium: proven in rational arithmetic; NotConverged: no proposed set is right, and Lemke's method did
+    not end; Unsupported: the stiffness in its exact numbers is indefinite, or friction that is not covered.
     """
     solution, error = proposal(asked)
     if data.frictional:
@@ -135,7 +135,7 @@ def solution_of(
     findings: tuple[str, ...] = (),
     events: tuple[ExactEvent, ...] = (),
 ) -> ExactSolution:
-    """Return what was settled, in Fractions and in words.
+    """Return the proven equilibrium as an ExactSolution.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def solution_of(
 
 
 def symmetrised(problem: ContactProblem) -> tuple[str, ...]:
-    """Return a note where the stiffness was given with an asymmetry that is no rounding."""
+    """Return a note if the given stiffness has an asymmetry beyond rounding."""
     if problem.asymmetry <= ROUNDED:
         return ()
     return (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)

@@ -1,12 +1,10 @@
-"""The exact equilibrium that floats propose: its closed contacts, their stick and slip, solved, corrected and proven.
+"""Solve, correct and prove the contact states (open, closed, stick, slip) proposed in floating point.
 
-Without friction, of the displacements that are equilibria (they differ by motions that nothing drives and nothing
-resists) the one of least norm within the gaps is given, and of the forces that hold it, where contacts are redundant,
-those of least norm.
+Without friction, of several equilibria (which differ by unresisted motions without drive) the one of least norm within
+the gaps is returned, and of its forces, if contacts are redundant, those of least norm.
 
-With friction, slip goes one way or the other in the plane. In space its direction has to be rational;
-t = (1 - q^2, 2 q) / (1 + q^2) runs through all rational directions with q, and the one nearest to what floats say is
-tried.
+With friction, slip goes one way or the other in the plane. In space its direction has to be rational; t = (1 - q^2, 2
+q) / (1 + q^2) gives all rational directions, and the one nearest to the floating-point slip is tried.
 """
 
 from __future__ import annotations
@@ -69,7 +67,7 @@ Direction = tuple[fmpq, ...]  # (d-1,) of unit length
 
 @dataclass(frozen=True)
 class Combination:
-    """Which contacts are closed, which of these stick, and along what the others slip."""
+    """The closed contacts, those of them that stick, and the slip directions of the others."""
 
     closed: tuple[int, ...]
     stuck: tuple[int, ...] = ()
@@ -82,7 +80,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Rows that hold displacements, and those along which forces act."""
+    """The linear system of a combination: rows that constrain displacements, and rows along which forces act."""
 
     data: RationalProblem
     combination: Combination
@@ -92,12 +90,14 @@ class System:
 
     @property
     def matrix(self) -> fmpq_mat:
-        """Return the matrix [[K, P'], [H, 0]] of displacements and forces; the rows H hold, the rows P push."""
+        """Return the matrix [[K, P'], [H, 0]] of displacements and forces, with constraints H and force directions
+        P.
+        """
         rows = self.held.nrows()
         return stack(beside(self.data.K, self.pushed.transpose()), beside(self.held, zeros(rows, rows)))
 
     def solve(self) -> tuple[fmpq_mat, fmpq_mat, bool] | None:
-        """Return u, the forces (k + c + b, 1) and whether both are unique; None, proven, where none exist."""
+        """Return u, the forces (k + c + b, 1) and whether both are unique, None if it is proven that none exist."""
         n, rows = self.data.unknowns, self.held.nrows()
         found = solve_any(self.matrix, stack(self.data.f, self.limit))
         if found is None:
@@ -106,7 +106,7 @@ class System:
         return take(x, range(n)), take(x, range(n, n + rows)), only
 
     def answer(self, u: fmpq_mat, forces: fmpq_mat) -> RationalAnswer:
-        """Return the forces laid out contact by contact."""
+        """Return u with the forces sorted by contact."""
         data, chosen, values = self.data, self.combination, forces.entries()
         push, drag = zeros(data.contacts, 1), zeros(data.T.nrows(), 1)
         k, w = data.ties, data.width
@@ -145,10 +145,10 @@ def system_of(data: RationalProblem, combination: Combination) -> System:
     )
 
 
-# The contact and tie forces that hold a displacement, in rational numbers: all of them, and those of least norm.
+# The contact and tie forces of a displacement in rational numbers: all of them, and those of least norm.
 #
-# At a displacement the states of the contacts are known: those without a gap push, along their own slip where they
-# slip, and with friction of any direction within the cone where they do not. What is left is linear,
+# A displacement determines the contact states: contacts without gap have forces, with friction along their slip, or
+# within the cone if they do not slip. The remaining conditions are linear,
 #
 #     P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
 #
@@ -163,12 +163,14 @@ class Balance:
 
     system: System
     forces: fmpq_mat
-    only: bool  # no other contact forces hold this displacement
+    only: bool  # whether the contact forces are unique
     ranges: tuple[Range, ...]  # (m,) of the normal forces
 
 
 def states(data: RationalProblem, u: fmpq_mat) -> Combination:
-    """Return the states at a displacement: contacts without a gap, which of these stick, along what the others slip."""
+    """Return the contact states of a displacement: closed contacts, sticking ones, and slip directions of the
+    others.
+    """
     closed = tuple(i for i, x in enumerate(data.gap(u).entries()) if x == 0)
     frictional = [i for i in closed if data.friction[i] > 0]
     if not frictional:
@@ -201,8 +203,8 @@ def unit(vector: list[fmpq]) -> Direction:
 
 
 def balance(data: RationalProblem, u: fmpq_mat, solved: tuple[System, fmpq_mat] | None = None) -> Balance | None:
-    """Return the forces that hold a displacement, None, proven, if none do; `solved` are the only ones of their
-    system.
+    """Return the forces of a displacement, None if it is proven that there are none; `solved` are the unique ones of
+    their system.
     """
     chosen = states(data, u)
     if solved is not None and solved[0].combination.key == chosen.key:
@@ -227,7 +229,9 @@ def balance(data: RationalProblem, u: fmpq_mat, solved: tuple[System, fmpq_mat] 
 
 
 def _conditions(system: System) -> Iterator[fmpq_mat]:
-    """Yield the rows whose products with the forces may not be negative: l_N, and mu l_N -+ l_T where it sticks."""
+    """Yield the rows whose products with the forces must not be negative: l_N, and for sticking contacts mu l_N -+
+    l_T.
+    """
     data, chosen = system.data, system.combination
     size, k = system.pushed.nrows(), data.ties
     for at, i in enumerate(chosen.closed):
@@ -246,7 +250,7 @@ def _least(system: System, start: fmpq_mat, directions: fmpq_mat, conditions: fm
     data, chosen = system.data, system.combination
     k, contacts = data.ties, range(data.ties, start.nrows())
     moved = take(directions, contacts)
-    # Ties alone may be redundant: directions in which no contact force changes.
+    # Directions that change no contact force, if only ties are redundant.
     idle = directions * null_space(moved)
     shifts = take_columns(directions, independent_rows(moved.transpose()))
     family = Family(take(start, contacts), take(shifts, contacts), conditions * start, conditions * shifts)
@@ -273,7 +277,7 @@ def _laid_out(data: RationalProblem, chosen: Combination, ranges: list[Range]) -
     return tuple(known.get(i, NO_RANGE) for i in range(data.contacts))
 
 
-# Corrections of a proposed set before Lemke's method is asked.
+# The most corrections of a proposed set before Lemke's method is used.
 MOST_CORRECTIONS = 20
 
 
@@ -284,14 +288,14 @@ class Settled:
     answer: RationalAnswer
     unique_forces: bool
     ranges: tuple[Range, ...]  # (m,) of the normal forces
-    motions: fmpq_mat  # (n, r) that nothing drives and nothing resists
+    motions: fmpq_mat  # (n, r) unresisted motions without drive
     way: str  # how it was found
 
 
 def settle(data: RationalProblem, guesses: Iterable[tuple[int, ...]], max_pivots: int) -> Settled:
-    """Return the equilibrium, from the first guess that leads to it, or by Lemke's method.
+    """Return the equilibrium from the first guess that leads to one, or by Lemke's method.
 
-    Raises NoSolution: proven: the constraints conflict, or the load drives a motion that nothing holds; Undecided:
+    Raises NoSolution: proven: the constraints conflict, or the load drives a motion that nothing resists; Undecided:
     Lemke's method did not end within `max_pivots`.
     """
     tried: set[tuple[int, ...]] = set()
@@ -332,7 +336,7 @@ def _corrected(data: RationalProblem, closed: tuple[int, ...], tried: set[tuple[
 def balanced(
     data: RationalProblem, u: fmpq_mat, solved: tuple[System, fmpq_mat] | None = None, way: str = ""
 ) -> Settled | None:
-    """Return the proven equilibrium at a displacement, or at its neighbours by free motions; None where there is none.
+    """Return the proven equilibrium at a displacement or shifted by free motions, None if there is none.
 
     Parameters
     ----------
@@ -358,7 +362,7 @@ def balanced(
 
 
 def _free_motions(data: RationalProblem, found: Balance) -> fmpq_mat:
-    """Return the motions (n, r) that K, the ties and all contacts that can carry a force leave without resistance."""
+    """Return the motions (n, r) not resisted by K, ties or contacts that may have a force."""
     pushing = [i for i, (_, high) in enumerate(found.ranges) if high is None or high > 0]
     w = data.width
     frictional = [w * i + axis for i in pushing if data.friction[i] > 0 for axis in range(w)]
@@ -366,7 +370,7 @@ def _free_motions(data: RationalProblem, found: Balance) -> fmpq_mat:
 
 
 def _rested(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
-    """Return the displacement of least norm that differs by motions nothing resists and keeps the gaps."""
+    """Return the displacement of least norm that differs by unresisted motions and satisfies the gaps."""
     rows = data.E * motions
     felt = [i for i, row in enumerate(rows.tolist()) if any(x != 0 for x in row)]
     family = Family(u, motions, take(data.gap(u), felt), -1 * take(rows, felt))
@@ -374,9 +378,9 @@ def _rested(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
 
 
 def _left_by_gaps(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq_mat:
-    """Return the motions (n, r) that are left where contacts which touch at u block others from both sides.
+    """Return the motions (n, r) that remain if contacts that touch at u block motions from both sides.
 
-    The gap of such a contact is zero at every displacement that the motions reach within all gaps.
+    The gap of such a contact is zero at every admissible displacement reached by the motions.
     """
     rows, gap = data.E * motions, data.gap(u)
     touching = [i for i, row in enumerate(rows.tolist()) if gap[i, 0] == 0 and any(x != 0 for x in row)]
@@ -387,15 +391,15 @@ def _left_by_gaps(data: RationalProblem, u: fmpq_mat, motions: fmpq_mat) -> fmpq
     return motions * null_space(take(rows, blocking)) if blocking else motions
 
 
-# All 4^3 combinations are tried in some ten milliseconds; of more contacts only where the proposal fails.
+# All 4^3 combinations take some ten milliseconds; for more contacts they are tried only if the proposal fails.
 LISTED = 3
-# Directions that people write down have small numbers.
+# The largest denominator of q, as directions in input files have small numbers.
 DENOMINATOR = 10**5
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """What floats make of a frictional problem, None where they fail."""
+    """The floating-point answer of a problem with friction, None if it failed."""
 
     problem: ContactProblem
     solution: Solution | None
@@ -403,7 +407,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class SettledWithFriction:
-    """A proven equilibrium, and how many there are (None: not counted)."""
+    """A proven equilibrium, and the number of equilibria (None: not counted)."""
 
     settled: Settled
     equilibria: int | None
@@ -411,12 +415,12 @@ class SettledWithFriction:
 
 
 def settle_with_friction(data: RationalProblem, proposal: Proposal) -> SettledWithFriction | None:
-    """Return a proven equilibrium; None where it is proven that no combination of open, stick and slip is one.
+    """Return a proven equilibrium, None if it is proven that no combination of open, stick and slip is one.
 
     Raises
     ------
     Unsupported
-        In space, where slip directions are irrational; or the proposal fails and there are too many combinations.
+        In space, irrational slip directions; or the proposal fails and there are too many combinations.
     """
     found = next((one for u in _proposed(data, proposal.solution) if (one := balanced(data, u)) is not None), None)
     countable = data.width == 1 and data.contacts <= MOST_CONTACTS and data.unknowns <= MOST_UNKNOWNS
@@ -451,7 +455,7 @@ def _distance(state: ExactEquilibrium, solution: Solution | None) -> float:
 
 
 def _proposed(data: RationalProblem, solution: Solution | None) -> Iterator[fmpq_mat]:
-    """Yield the displacements of the combination that floats are in, and of it with grazing contacts held closed."""
+    """Yield the displacements of the floating-point combination, and of that with grazing contacts closed."""
     if solution is None:
         return
     states = solution.contact_status

@@ -1,14 +1,14 @@
-"""A contact problem in rational numbers, how an answer is proven, and the linear complementarity problem that it is.
+"""Define a contact problem in rational numbers, the proof of an answer, and its linear complementarity problem.
 
-The numbers are a problem's floats as they stand, or the unrounded ones of a scene. Without friction, with Z a basis of
-the motions that neither K nor A resists,
+The numbers are the exact values of a problem's floats, or the unrounded ones of a scene. Without friction, with Z a
+basis of the motions that neither K nor A resists,
 
     [ K  A'  Z ] [ u0   -R ]   [ f   E' ]
     [ A  0   0 ] [ .     . ] = [ b   0  ]        u = u0 - R l + Z a,    Z'(f - E'l) = 0,    W = E R,
     [ Z' 0   0 ] [ .     . ]   [ 0   0  ]        gap = g - E u = q + W l - G a,    q = g - E u0,  G = E Z,
 
-is a linear complementarity problem with free variables a. Lemke's method decides it, and proves by its ray that there
-is no solution.
+is a linear complementarity problem with free variables a. Lemke's method solves it, or proves by a ray that there is no
+solution.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RationalProblem:
     g: fmpq_mat  # (m, 1)
     A: fmpq_mat  # (k, n)
     b: fmpq_mat  # (k, 1)
-    T: fmpq_mat  # ((d-1) m, n), without rows where there is no friction
+    T: fmpq_mat  # ((d-1) m, n), without rows if there is no friction
     friction: tuple[fmpq, ...]  # (m,)
     slip_origin: fmpq_mat  # ((d-1) m, 1)
 
@@ -89,7 +89,7 @@ class RationalProblem:
 
     @property
     def idle_ties(self) -> list[int]:
-        """Return the ties whose rows are zero, which exert nothing."""
+        """Return the ties with zero rows."""
         return [tie for tie in range(self.ties) if is_zero(take(self.A, [tie]))]
 
     def gap(self, u: fmpq_mat) -> fmpq_mat:
@@ -102,7 +102,7 @@ class RationalProblem:
 
 
 def of_floats(problem: ContactProblem) -> RationalProblem:
-    """Return the floats as they stand; K as it was symmetrised."""
+    """Return the exact values of a problem's floats, with the symmetrised K."""
     T, friction, origin = zeros(0, problem.dimension), (fmpq(0),) * problem.contacts, zeros(0, 1)
     if problem.tangent is not None and problem.slip_origin is not None and problem.friction is not None:
         T, origin = matrix(problem.tangent), column(problem.slip_origin.ravel())
@@ -123,7 +123,7 @@ def of_floats(problem: ContactProblem) -> RationalProblem:
 def of_scene(exact: ExactProblem) -> RationalProblem:
     """Return a scene's numbers on its free unknowns, all of them Fractions (`exact.rational`); K is symmetrised.
 
-    As in the problem of floats, there are tangential rows only where there is friction.
+    As in the problem of floats, only contacts with friction have tangential rows.
     """
     free = exact.unknowns.free
     place = {name: i for i, name in enumerate(free)}
@@ -170,17 +170,17 @@ def _rows(rows: Sequence[Mapping[str, Any]], place: Mapping[str, int]) -> fmpq_m
     return made
 
 
-# Whether rational numbers solve a contact problem, statement by statement, with no tolerance.
+# Check all conditions of a contact problem in rational numbers without tolerance.
 
 
 @dataclass(frozen=True, eq=False)
 class RationalAnswer(AnswerOf[fmpq_mat, fmpq_mat]):
-    """An answer in columns; that of friction, ((d-1) m, 1), has no entries where there is no friction."""
+    """An answer in columns; friction, ((d-1) m, 1), is empty without friction."""
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """A statement that does not hold, and where: an unknown, a contact or a tie."""
+    """A violated condition, and the number of its unknown, contact or tie."""
 
     statement: str
     place: int
@@ -198,7 +198,7 @@ STATEMENTS = (
 
 
 def wrong(data: RationalProblem, answer: RationalAnswer) -> Iterator[Wrong]:
-    """Yield every statement that does not hold; none is a proof that the answer solves the problem."""
+    """Yield every violated condition; if there is none, the answer is proven."""
     u, push, drag = answer.displacement, answer.normal_force, answer.friction_force
     left = data.K * u + data.E.transpose() * push + data.A.transpose() * answer.tie_force - data.f
     if drag.nrows():
@@ -228,7 +228,7 @@ def _wrong_friction(data: RationalProblem, answer: RationalAnswer) -> Iterator[W
         along = sum_of_products(force, moved)
         # Cauchy and Schwarz: equality means parallel.
         parallel = along * along == sum_of_products(force, force) * sum_of_products(moved, moved)
-        # What carries nothing has no direction of friction.
+        # Contacts without force have no direction of friction.
         if not (parallel and along >= 0 and sum_of_products(force, force) == bound):
             yield Wrong("slip direction", i)
 
@@ -249,7 +249,7 @@ def status(data: RationalProblem, answer: RationalAnswer) -> tuple[str, ...]:
     return tuple(words)
 
 
-# Lemke's method in rational numbers, with lexicographic ratio tests: finite, and its ray proves infeasibility.
+# Lemke's method in rational numbers with lexicographic ratio tests: it is finite, and its ray proves infeasibility.
 #
 # Cottle, Pang and Stone (1992), The Linear Complementarity Problem, section 4.4.
 
@@ -306,9 +306,9 @@ def _pivot(table: list[list[fmpq]], row: int, column_: int) -> None:
             table[i] = [x - factor * y if y != 0 else x for x, y in zip(other, lead, strict=True)]
 
 
-# All x = start + N c that meet v + G c >= 0, in rational numbers: the one of least norm, and how far entries range.
+# All x = start + N c with v + G c >= 0 in rational numbers: the one of least norm, and the ranges of entries.
 
-# Lemke's method takes about as many pivots as there are conditions.
+# The most pivots of Lemke's method, which takes about as many as there are conditions.
 MOST_PIVOTS = 2000
 
 Range = tuple[Fraction | None, Fraction | None]
@@ -316,7 +316,7 @@ Range = tuple[Fraction | None, Fraction | None]
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Directions are independent columns."""
+    """The family x = start + N c with v + G c >= 0, with independent columns N."""
 
     start: fmpq_mat  # (n, 1)
     directions: fmpq_mat  # (n, r)
@@ -331,7 +331,7 @@ class Family:
         Raises
         ------
         NoSolution
-            Proven: no member meets the conditions.
+            Proven: no member satisfies the conditions.
         """
         across = self.directions.transpose()
         square = across * self.directions
@@ -345,7 +345,7 @@ class Family:
 
     @cached_property
     def zero_rooms(self) -> frozenset[int]:
-        """The places of rooms w that are zero for all members."""
+        """Return the indices of slacks w that are zero for all members."""
         rooms = Family(self.room, self.slope, self.room, self.slope).ranges(range(self.room.nrows()))
         return frozenset(place for place, (_, most) in enumerate(rooms) if most == 0)
 
@@ -354,9 +354,9 @@ class Family:
         return is_zero(rows * (self.directions * null_space(take(self.slope, sorted(self.zero_rooms)))))
 
     def ranges(self, entries: Iterable[int]) -> list[Range]:
-        """Return the least and the largest value of each entry of x, None where it is unbounded; a member exists."""
+        """Return the least and the largest value of each entry of x, None if unbounded; a member must exist."""
         slopes, rooms = fraction_rows(self.slope), fractions(self.room)
-        # A condition that no direction changes is met or there is no member.
+        # A condition independent of c is satisfied, or there is no member.
         kept = [i for i, slope in enumerate(slopes) if any(slope)]
         region = Polyhedron([rooms[i] for i in kept], [slopes[i] for i in kept], int(self.directions.ncols()))
         found: list[Range] = []
@@ -372,14 +372,14 @@ class Family:
 
 
 def region_of(room: fmpq_mat, slope: fmpq_mat) -> Region:
-    """Return the coordinates with which room (q, 1) + slope (q, r) times them is not negative."""
+    """Return the coordinates c with room + slope c >= 0, for room (q, 1) and slope (q, r)."""
     return Region(list(zip(fractions(room), fraction_rows(slope), strict=True)), int(slope.ncols()))
 
 
 def longest(rooms: list[Fraction], slopes: list[list[Fraction]]) -> Fraction | float:
-    """Return the largest last coordinate with which rooms (q,) + slopes (q, r) times coordinates are not negative.
+    """Return the largest last coordinate of c with rooms + slopes c >= 0, for rooms (q,) and slopes (q, r).
 
-    It is not negative, and infinite where there is no largest; zeros are such coordinates.
+    It is not negative, as c = 0 is admissible, and infinite if unbounded.
     """
     size = len(slopes[0]) if slopes else 1
     step = [Fraction(0)] * (size - 1) + [Fraction(1)]
@@ -388,7 +388,7 @@ def longest(rooms: list[Fraction], slopes: list[list[Fraction]]) -> Fraction | f
 
 
 def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
-    """Return the columns in blocks that share no row, so that each block can be ranged over by itself."""
+    """Return the columns in blocks that share no row, so that ranges can be computed block by block."""
     group = list(range(int(directions.ncols())))
     for row in [*directions.tolist(), *slope.tolist()]:
         touched = [j for j, x in enumerate(row) if x != 0]
@@ -399,7 +399,7 @@ def blocks(directions: fmpq_mat, slope: fmpq_mat) -> list[list[int]]:
 
 
 def block_of(family: Family, columns: list[int]) -> Family:
-    """Return the family in which only these directions move, with the conditions that they change."""
+    """Return the family of only these directions, with the conditions that they affect."""
     slope = take_columns(family.slope, columns)
     rows = [i for i, row in enumerate(slope.tolist()) if any(x != 0 for x in row)]
     return Family(family.start, take_columns(family.directions, columns), take(family.room, rows), take(slope, rows))
@@ -407,9 +407,9 @@ def block_of(family: Family, columns: list[int]) -> Family:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The problem in its contact forces l and motions a (see the module)."""
+    """The problem in contact forces l and motions a (see the module)."""
 
-    data: RationalProblem  # with ties that are independent
+    data: RationalProblem  # with independent ties
     Z: fmpq_mat
     u0: fmpq_mat
     R: fmpq_mat
@@ -425,7 +425,7 @@ class Reduced:
     def on_set(self, closed: Iterable[int], softness: Iterable[fmpq] = ()) -> tuple[fmpq_mat, fmpq_mat] | None:
         """Return forces and motions with the contacts of the set closed and the others without force.
 
-        With a softness (length / force) for each contact of the set they are springs instead: the penalty answer.
+        With a softness (length / force) for each contact of the set, these are springs: the penalty answer.
         """
         closed = tuple(closed)
         count, r = len(closed), self.G.ncols()
@@ -455,7 +455,7 @@ class Reduced:
         return fmpq_mat(m, 1, z[:m]), fmpq_mat(r, 1, motion), pivots
 
     def holds(self, force: fmpq_mat, motion: fmpq_mat) -> bool:
-        """Return the proof: the problem as it was stated, in rational arithmetic."""
+        """Return whether forces and motions satisfy the original problem in rational arithmetic."""
         data, u = self.data, self.displaced(force, motion)
         gap, pushes = data.gap(u).entries(), force.entries()
         if any(lam < 0 for lam in pushes) or any(w < 0 for w in gap):
@@ -467,7 +467,7 @@ class Reduced:
 
 
 def reduce_problem(data: RationalProblem) -> Reduced:
-    """Return the problem in its contact forces and the motions without energy that its independent ties allow.
+    """Return the problem in contact forces and the motions without energy that independent ties allow.
 
     Raises NoSolution: the ties contradict each other.
     """

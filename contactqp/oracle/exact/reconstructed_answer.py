@@ -1,4 +1,4 @@
-"""Guess rational numbers from an approximation that an enclosure cannot decide, and prove them."""
+"""Guess rational numbers from an approximation if an enclosure is undecided, and prove them."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions
 from contactqp.oracle.exact.rational_answer import PROVEN, Asked, symmetrised
 from contactqp.oracle.exact.refinement import Fixed, FixedMatrix, Integers, Refined, fixed, refine
 
-# Digits of the approximation, and what of them is taken to be right.
+# Digits of the approximation, and those of them that are assumed right.
 DIGITS, RIGHT = 80, 72
-# Rational numbers guessed from an approximation far beyond doubles, and proven in integers.
+# Rational numbers are guessed from an approximation of many digits, and proven in integers.
 #
-# Numbers with small denominators are the only ones of their kind near enough to be told by continued fractions; a
-# common denominator of what came before makes the next ones smaller. How they were found proves nothing and need not:
-# every statement of the problem is checked in integers, without any rounding. The last step of exact linear and
-# quadratic programming: Gleixner, Steffy and Wolter (2016), INFORMS Journal on Computing 28, 449.
+# Numbers with small denominators are found by continued fractions; the common denominator of previous numbers makes
+# those of the next ones smaller. The proof is that all conditions of the problem are checked in integers without
+# rounding. This is the last step of exact linear and quadratic programming: Gleixner, Steffy and Wolter (2016),
+# INFORMS Journal on Computing 28, 449.
 
-# Two numbers of this denominator are further apart than the digits that are taken to be right.
+# Two numbers of this denominator differ in the digits that are assumed right.
 LARGEST_DENOMINATOR = 2**110
 
 
@@ -41,7 +41,7 @@ class Column:
     denominator: int
 
     def times(self, rows: Any, less: Any) -> Column:
-        """Return rows x - less of a matrix and a vector of floats."""
+        """Return rows x - less for a matrix and a vector of floats."""
         product = FixedMatrix(sp.csr_matrix(rows)) @ Fixed(self.integers, 0)
         found = product - _times(fixed(less), self.denominator)
         return Column(found.integers << max(-found.bits, 0), self.denominator << max(found.bits, 0))
@@ -52,12 +52,12 @@ class Column:
         return array
 
 
-# An answer without friction in numbers of one denominator each.
+# An answer without friction, each part with one denominator.
 Reconstructed = AnswerOf[Column, None]
 
 
 def reconstruct(refined: Refined) -> Reconstructed | None:
-    """Return the exact answer near an approximation, proven; None where no small numbers are one."""
+    """Return the proven exact answer near an approximation, None if none with small numbers exists."""
     u = guessed(refined.displacement)
     push, tie = guessed(refined.normal_force), guessed(refined.tie_force)
     if u is None or push is None or tie is None:
@@ -67,7 +67,7 @@ def reconstruct(refined: Refined) -> Reconstructed | None:
 
 
 def guessed(values: Fixed) -> Column | None:
-    """Return numbers of one small denominator, the nearest that are near enough; None where there are none.
+    """Return the nearest numbers with one small denominator, None if none are near enough.
 
     >>> third = Fixed(np.array([2**400 // 3, 5 * 2**399], dtype=object), 400)
     >>> [str(x) for x in guessed(third).fractions()]
@@ -112,11 +112,11 @@ def simplest(low: Fraction, high: Fraction) -> Fraction:
 
 
 def solves(problem: ContactProblem, answer: Reconstructed) -> bool:
-    """Return whether an answer meets all conditions of a frictionless problem of floats, checked in integers."""
+    """Return whether an answer satisfies all conditions of a frictionless problem of floats, checked in integers."""
     u, push, tie = answer.displacement, answer.normal_force, answer.tie_force
     K = FixedMatrix(sp.csr_matrix(problem.stiffness))
     Et, At = (FixedMatrix(sp.csr_matrix(sp.csr_matrix(x).T)) for x in (problem.normal, problem.tie))
-    # All three denominators are multiplied out.
+    # multiplied by all three denominators
     left = [_times(fixed(problem.load), u.denominator * push.denominator * tie.denominator)]
     left += [_times(K @ Fixed(u.integers, 0), -push.denominator * tie.denominator)]
     left += [_times(Et @ Fixed(push.integers, 0), -u.denominator * tie.denominator)]
@@ -146,7 +146,7 @@ ONLY = "the rows of all contacts without gap are independent: these are the only
 
 
 def prove_by_reconstruction(asked: Asked, first: Solution) -> ExactSolution | None:
-    """Return the rational answer nearest to a refined one, proven; None where none is found or others lie beside it."""
+    """Return the proven rational answer nearest to a refined one, None if none is found or it is not unique."""
     problem = asked.problem
     try:
         found = reconstruct(refine(problem, asked.method, DIGITS, first=first, **asked.options))

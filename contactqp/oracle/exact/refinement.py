@@ -1,16 +1,15 @@
-"""Refine an answer with residuals formed in integers, and bound the least eigenvalues that enclosures need.
+"""Refine an answer with residuals formed in integers, and bound the least eigenvalues for enclosures.
 
-What is left of a problem around an approximation (u, l, nu), magnified by D, is a problem of the same kind in the
-correction w = D (u* - u):
+The correction w = D (u* - u) of an approximation (u, l, nu), magnified by D, solves a problem of the same kind:
 
     minimise  1/2 w'Kw - D r'w,   r = f - K u - E'l - A'nu,
-    subject to  E_i w = D (g - E u)_i   where l_i stands out of what is left: its correction may have either sign,
-                E_i w <= D (g - E u)_i  elsewhere, l_i taken to be none so far,
+    subject to  E_i w = D (g - E u)_i   if l_i is large compared to the residuals, so that its correction has any sign,
+        E_i w <= D (g - E u)_i  otherwise, with l_i set to zero,
                 A w = D (b - A u).
 
-The residuals are formed in integers, without rounding, and D grows by what each solution leaves: a contact that is
-undecided in doubles shows its gap or its force under the magnification. Scaled refinement of quadratic programs: Weber,
-Sager and Gleixner (2019), Mathematical Programming Computation 11, 421; there slacks and their signs are magnified too.
+The residuals are formed in integers without rounding, and D grows as they decrease, so that contacts undecided in
+doubles show a gap or a force. This is scaled refinement of quadratic programs: Weber, Sager and Gleixner (2019),
+Mathematical Programming Computation 11, 421, where slacks and their signs are magnified too.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, Solution
 from contactqp.solving.solve import solve
 
-# Floats as integers, and products of sparse matrices of them without any rounding.
+# Floats as integers, with exact products of sparse matrices.
 
-Integers = NDArray[Any]  # object arrays of Python's integers
+Integers = NDArray[Any]  # object arrays of Python integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class Fixed:
     def floats(self) -> Array:
         """Return the nearest doubles.
 
-        Raises NotConverged: a number is beyond them: what is refined has left their range.
+        Raises NotConverged: a number overflows.
         """
         one = 1 << max(self.bits, 0)
         more = 1 << max(-self.bits, 0)
@@ -88,12 +87,12 @@ class Fixed:
 
     @property
     def exponent(self) -> int:
-        """Return the least e with |x| < 2^e for all numbers; a very small one where all are zero."""
+        """Return the least e with |x| < 2^e for all numbers, a very small one if all are zero."""
         return max((abs(x).bit_length() for x in self.integers.tolist()), default=0) - self.bits
 
 
 def fixed(values: Any) -> Fixed:
-    """Return floats as the numbers in fixed point that they are, without rounding."""
+    """Return floats in fixed point without rounding."""
     flat = np.asarray(values, dtype=float).ravel()
     mantissa, exponent = np.frexp(flat)
     used = exponent[mantissa != 0]
@@ -104,7 +103,7 @@ def fixed(values: Any) -> Fixed:
 
 
 class FixedMatrix:
-    """A sparse matrix of floats as they stand."""
+    """A sparse matrix of floats in exact arithmetic."""
 
     def __init__(self, rows: Any) -> None:
         rows = rows.tocsr()
@@ -122,28 +121,28 @@ class FixedMatrix:
 
 # Proven lower bounds of the least eigenvalue of symmetric matrices of floats.
 #
-# A factorisation P (M - s I) P' = L D L' + R with D > 0 proves lambda_min(M) >= s - |R|, whatever rounding there was on
-# the way to it, once R is bounded: its entries are computed, and what rounding may have added to them is bounded by the
-# same products of absolute values; dense matrices likewise with P = I and D^(1/2) within L. Floating-point Cholesky in
-# the spirit of Rump (2006), BIT 46, 433, a posteriori.
+# A factorisation P (M - s I) P' = L D L' + R with D > 0 proves lambda_min(M) >= s - |R| once R is bounded, independent
+# of rounding in the factorisation. The entries of R are computed, and their rounding is bounded by the same products of
+# absolute values; for dense matrices P = I and D^(1/2) is part of L. This is an a posteriori form of the floating-point
+# Cholesky test of Rump (2006), BIT 46, 433.
 
-# Sums of positive numbers in floats, of up to 1e8 terms, are this far from the truth at most.
+# The largest relative error of sums of up to 1e8 positive floats.
 SAFE = 1 + 1e-7
-# Multiplications of the product L D L' beyond which it is not formed.
+# The most multiplications for which the product L D L' is formed.
 MOST_WORK = 3e9
 POWER_STEPS = 12
-# Matrices with more entries than this part of all, and fewer rows, are factorised as dense ones.
+# Denser matrices with fewer rows are factorised as dense ones.
 DENSE, MOST_DENSE = 0.2, 6000
 
 
 def largest_row_sum(matrix: Any) -> float:
-    """Return an upper bound of |M|_inf, and with it of every eigenvalue of a symmetric M."""
+    """Return an upper bound of |M|_inf, thus of all eigenvalues of a symmetric M."""
     sums = np.asarray(abs(matrix).sum(axis=1)).ravel()
     return float(np.max(sums, initial=0.0)) * SAFE
 
 
 def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
-    """Return a number that is positive and proven not to exceed lambda_min, or None where none was found.
+    """Return a positive proven lower bound of lambda_min, None if none was found.
 
     Parameters
     ----------
@@ -160,7 +159,7 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
     for part in (0.5, 0.1):
         shift = part * estimate
         if shift <= uncertainty + _forming(matrix, shift):
-            return None  # rounding alone is as large, which no factorisation takes away
+            return None  # the rounding of the data is as large
         off = _left_out(matrix, shift)
         if off is not None and (bound := (shift - (off + uncertainty) * SAFE) / SAFE) > 0:
             return float(bound)
@@ -168,7 +167,7 @@ def least_eigenvalue(matrix: Any, uncertainty: float = 0.0) -> float | None:
 
 
 def _estimate(matrix: Any) -> float | None:
-    """Estimate the least eigenvalue by inverse iteration; None where the matrix is singular."""
+    """Return an estimate of the least eigenvalue by inverse iteration, None if the matrix is singular."""
     factors = _dense_factors(matrix) if is_dense(matrix) else _factors(matrix)
     if factors is None:
         return None
@@ -205,7 +204,7 @@ def _dense_factors(matrix: Any) -> _Cholesky | None:
 
 
 def _left_out_of_dense(shifted: Any) -> tuple[float, float] | None:
-    """Return |M - LL'|_inf as computed, and a bound on what rounding may have added to it, sums in any order."""
+    """Return the computed |M - LL'|_inf and a bound on its rounding error, for any order of sums."""
     factors = _dense_factors(shifted)
     if factors is None or not np.all(np.isfinite(factors.L)):
         return None
@@ -225,12 +224,12 @@ def _factors(matrix: Any) -> Any:
 
 
 def _forming(matrix: Any, shift: float) -> float:
-    """Return a bound of what rounding adds when the shift is taken off the matrix, and a product off that."""
+    """Return a bound of the rounding error of subtracting the shift, and a product, from the matrix."""
     return 4 * EPS * (largest_row_sum(matrix) + shift)
 
 
 def _left_out(matrix: Any, shift: float) -> float | None:
-    """Return a bound of |R|_inf, None where the matrix less the shift is not found to be positive definite."""
+    """Return a bound of |R|_inf, None if the shifted matrix is not found to be positive definite."""
     size = matrix.shape[0]
     shifted = sp.csc_matrix(matrix - shift * sp.identity(size, format="csc"))
     forming = _forming(matrix, shift)
@@ -254,26 +253,26 @@ def _left_out(matrix: Any, shift: float) -> float | None:
     permuted = shifted[back][:, back]
     rest = permuted - scaled @ L.T
     terms = float(np.max(np.diff(sp.csr_matrix(L).indptr))) + 4
-    # Rounding: of the products, of their sums, and of forming the shifted matrix and the difference.
+    # Rounding of the products, of their sums, and of forming the shifted matrix and the difference.
     absolute = abs(scaled) @ (abs(L).T @ np.ones(size))
     rounding = 2 * terms * EPS * float(np.max(absolute)) + forming
     return (largest_row_sum(rest) + rounding) * SAFE
 
 
-# Digits of the parts of an approximation beyond its largest, in bits.
+# Bits of the parts of an approximation below its largest.
 KEPT, MOST_DIGITS = 360, 90
 MOST_ROUNDS = 40
-# Rounds with the same contact set in which neither forces nor lengths that are left have halved: none will.
+# Rounds with the same contact set without halving the residual forces or lengths, after which refinement fails.
 MOST_IDLE_ROUNDS = 3
-# A force that is this much larger than all that is left pushes for certain.
+# A force that exceeds all residuals by this factor is certainly positive.
 STANDS_OUT = 2.0**10
-# A contact whose gap is this many times what may still move stays open.
+# A contact whose gap is this multiple of possible corrections stays open.
 FAR = 2.0**20
 
 
 @dataclass(frozen=True, eq=False)
 class Refined(AnswerOf[Fixed, None]):
-    """An approximation far beyond doubles, and its residuals without rounding; forces that do not push are zero."""
+    """An approximation of many digits, and its exact residuals; forces of open contacts are zero."""
 
     problem: ContactProblem
     imbalance: Fixed  # (n,) f - K u - E'l - A'nu
@@ -292,7 +291,7 @@ def refine(
     first: Solution | None = None,
     **options: Any,
 ) -> Refined:
-    """Solve a frictionless problem to many more digits than doubles have.
+    """Solve a frictionless problem to many more digits than double precision.
 
     Parameters
     ----------
@@ -308,11 +307,11 @@ def refine(
     Raises
     ------
     NotConverged
-        Residuals do not fall that far: the contact set keeps changing, or the floats are too ill-conditioned.
+        Residuals do not decrease enough: the contact set keeps changing, or the data are too ill-conditioned.
     InvalidProblem, Unsupported
         Too many digits; friction.
     NoEquilibrium, NotCertified
-        Of the first solution.
+        Raised by the first solution.
 
     Examples
     --------
@@ -367,7 +366,7 @@ class _Walk:
         self.settled = False
         self._key: Any = None
         self._take(fixed(first.displacement), fixed(np.maximum(first.normal_force, 0.0)), fixed(first.tie_force))
-        # Sizes in sqrt(energy): what forces there are, and what lengths.
+        # Sizes of forces and lengths in sqrt(energy).
         sizes = [abs(problem.load) / self._scale, self._scale * abs(first.displacement)]
         sizes.append(self._arm * abs(first.normal_force))
         self._size = max((float(np.max(part, initial=0.0)) for part in sizes), default=0.0) or 1.0
@@ -380,7 +379,7 @@ class _Walk:
 
     @property
     def residuals(self) -> tuple[float, float]:
-        """The largest residual forces and lengths, relative to the sizes of the problem."""
+        """Return the largest residual forces and lengths, relative to the sizes of the problem."""
         closed = np.array([x > 0 for x in self.push.integers], dtype=bool)
         forces = abs(self.imbalance.floats()) / self._scale
         lengths = np.concatenate(
@@ -393,7 +392,7 @@ class _Walk:
         )
 
     def step(self) -> None:
-        """Solve what is left under a magnifying glass, and add it."""
+        """Solve the magnified problem of the correction, and add it."""
         problem, m = self.problem, self.problem.contacts
         remains = max(*self.residuals, 2.0**-KEPT)
         force = self._arm * self.push.floats() / self._size

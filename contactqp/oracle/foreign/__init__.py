@@ -1,1 +1,1 @@
-"""Answers of other codes: read as stated, completed, certified, with the right values beside."""
+"""Complete, certify and compare answers of other codes."""

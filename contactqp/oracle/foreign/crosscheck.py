@@ -1,4 +1,4 @@
-"""Judge the contact of a deck in another code: run CalculiX or read its results, and compare forces with exact ones."""
+"""Judge another code's contact forces for a deck: run CalculiX or read its results, and compare with exact forces."""
 
 from __future__ import annotations
 
@@ -32,18 +32,19 @@ from contactqp.oracle.foreign.crosscheck_verdict import (
 from contactqp.scene.deck.contacts import Discretisation, note
 from contactqp.scene.deck.deck import Deck, Enforcement, read_deck
 
-# Digits that CalculiX prints of a number.
+# The number of digits printed by CalculiX.
 DAT_DIGITS, FRD_DIGITS = 7, 6
-# A support has moved where the answer differs from what is prescribed by more units of its last digit than this.
+# A support has moved if the displacement differs from the prescribed one by more than this many units of its last
+# digit.
 MOVED = 10.0
-# A pair whose forces are below this part of what the tolerance is of all forces has none.
+# A pair has no force if its forces are below this part of the tolerance times all forces.
 NEGLIGIBLE = 1e-3
-# What rounding of coordinates leaves of gaps, in units of the largest one.
+# The rounding of gaps relative to the largest coordinate.
 ROUNDING = 64 * EPS
-# Gauss points of faces are more than the nodes of these, so that their frictional forces are not unique: of more points
-# than this they are found after minutes, or never.
+# Faces have more Gauss points than nodes, so that frictional forces at them are not unique; for more points than this a
+# solution takes minutes or fails.
 MOST_POINTS = 300
-# The forces on the slave nodes of a pair, (q, d).
+# The type of the forces on the slave nodes of a pair, (q, d).
 Forces = Array
 
 
@@ -61,11 +62,10 @@ def crosscheck(
 ) -> CrossCheck:
     """Judge the contact of a deck as CalculiX solves it, pair by pair.
 
-    A pair is right where its resultant, the vector of its forces, the sum of the sizes of its friction forces and the
-    normal force of every node are within `error_tolerance` times the resultant of the reference; forces of nodes, where
-    a deck asks for contact of faces, also within what two exact discretisations of its mesh differ by. The verdict says
-    what parts the answers: springs in the place of contact, nodes that pull, numbers that were cut off, contact that
-    was not found.
+    A pair is right if its resultant, the vector of its forces, the sum of the sizes of its friction forces and the
+    normal force of every node are within `error_tolerance` times the resultant of the reference. For contact of faces
+    nodal forces may also differ by the difference of two exact discretisations of the mesh. The verdict has the causes
+    of differences: springs instead of contact, nodes in tension, truncated numbers, contact that was not detected.
 
     Parameters
     ----------
@@ -92,11 +92,11 @@ def crosscheck(
     Raises
     ------
     InvalidProblem
-        A deck or results that cannot be read; by file and line.
+        The deck or the results cannot be read; the message has file and line.
     BackendMissing
-        No results are given and CalculiX is not installed.
+        No results are given, and CalculiX is not installed.
     BackendFailed
-        CalculiX ended with an error, did not end in time, or left half a file; what it printed is kept.
+        CalculiX ended with an error, did not end in time, or wrote an incomplete file; its output is attached.
     """
     if not 0 < error_tolerance < 1:
         raise InvalidProblem(f"error_tolerance: expected a number between 0 and 1, got {error_tolerance:g}")
@@ -122,7 +122,7 @@ def crosscheck(
 
 
 def _refuse_two_types(deck: Deck) -> None:
-    """Raise InvalidProblem where pairs of a deck are of several types, which CalculiX ends at without saying so."""
+    """Raise InvalidProblem if pairs of a deck have several types, with which CalculiX ends without a message."""
     first, *others = deck.model.pairs or (None,)
     for other in others:
         if first is not None and other.type != first.type:
@@ -131,7 +131,7 @@ def _refuse_two_types(deck: Deck) -> None:
 
 
 def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector]:
-    """Return u of all unknowns and the size of the unit of its last printed digit [length]."""
+    """Return u of all unknowns and the unit of its last printed digit [length]."""
     try:
         field, ledger = read_displacements(file)
     except InvalidProblem as error:
@@ -168,17 +168,16 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
 
 @dataclass(frozen=True)
 class Errors:
-    """How far the resultant of a pair, and the force of its worst node, are from the reference, of the resultant."""
+    """The errors of a pair's resultant, and of its worst nodal force, relative to the reference resultant."""
 
     resultant: float
     node: float
 
 
 def _word(off: Errors, noise: float, mesh: Errors, tolerance: float) -> Word:
-    """Return the verdict on a pair; what other discretisations of the mesh differ by is no mistake of a code.
+    """Return the verdict on a pair; differences between discretisations of the mesh are no error.
 
-    Wrong is what is off by more than twice of that, and right what is off by no more, the resultant by no more than the
-    tolerance.
+    Errors above twice these are wrong; errors below them are right, if that of the resultant is within the tolerance.
     """
     if off.resultant <= tolerance and off.node <= max(tolerance, mesh.node):
         return "right" if noise <= tolerance else "undecided"
@@ -189,7 +188,7 @@ def _word(off: Errors, noise: float, mesh: Errors, tolerance: float) -> Word:
 
 @dataclass(frozen=True, eq=False)
 class _Judging:
-    """The verdict on an answer, by a reference."""
+    """The comparison of an answer with a reference."""
 
     answer: ForeignAnswer
     reference: Literal["exact", "penalty"]
@@ -209,7 +208,7 @@ class _Judging:
 
     @cached_property
     def _truth(self) -> list[Forces]:
-        """Return the forces of the reference: no overlap at slave nodes or, of quadratic faces, at Gauss points."""
+        """Return the forces of the reference: no overlap at slave nodes or, for quadratic faces, at Gauss points."""
         if self.reference == "penalty":
             return self._on_springs
         if not self._by_points:
@@ -225,7 +224,7 @@ class _Judging:
 
     @cached_property
     def _on_springs(self) -> list[Forces]:
-        """Return the forces on the springs of the deck: at slave nodes or, from face to face, at integration points."""
+        """Return the forces of the deck's springs, at slave nodes or, for contact of faces, at integration points."""
         faces = [one.contact.pair.type == "SURFACE TO SURFACE" and one.alone for one in self._nodes]
         told = "penalty answer by points"
         points = self._if_any(told, lambda: self._spring_forces) if any(faces) else []
@@ -236,9 +235,9 @@ class _Judging:
 
     @cached_property
     def _by_points(self) -> list[Forces]:
-        """Return the exact forces with no overlap at Gauss points, for pairs of faces; [] where there is none.
+        """Return the exact forces with no overlap at Gauss points for pairs of faces, [] if there are none.
 
-        Springs at the integration points of faces tend to it, and to none at nodes where there are many of them.
+        Stiff springs at the integration points of faces tend to these.
         """
         if self.reference == "penalty" or self._types <= {"NODE TO SURFACE"}:
             return []
@@ -248,19 +247,19 @@ class _Judging:
         return self._by("exact", "points")
 
     def _nearly_by_points(self) -> list[Forces]:
-        """Return the exact forces at nodes, and what on the springs of the deck those at Gauss points differ by."""
+        """Return the exact forces at nodes, corrected by the difference of springs at Gauss points and nodes."""
         on_springs = (self._spring_forces, reference_forces(self.deck, self._nodes, "penalty", "node-to-segment"))
         note(self.deck.ledger.assumed, "exact forces of faces: those of nodes, and the difference of both on springs")
         return [own + there - here for own, there, here in zip(self._by_nodes, *on_springs, strict=True)]
 
     @cached_property
     def _spring_forces(self) -> list[Forces]:
-        """Return the forces on the springs of the deck at Gauss points."""
+        """Return the forces of the deck's springs at Gauss points."""
         return reference_forces(self.deck, self._nodes, "penalty", "points")
 
     @cached_property
     def _by_mortar(self) -> list[Forces]:
-        """Return the exact forces with no overlap on the average, for mortars on curved masters; [] for none."""
+        """Return the exact forces with no mean overlap for mortars on curved masters, [] if there are none."""
         curved = any(one.contact.pair.type == "MORTAR" and not is_plane(one.contact.master) for one in self._nodes)
         if self.reference == "penalty" or not curved:
             return []
@@ -279,7 +278,7 @@ class _Judging:
         return [one[number] for one in every if one]
 
     def _by(self, enforcement: Enforcement, discretisation: Discretisation) -> list[Forces]:
-        """Return the forces of the answer in one discretisation; [] and a note in the ledger where there is none."""
+        """Return the forces of the answer in one discretisation, or [] with a note in the ledger if it fails."""
         told = f"{enforcement} answer by {discretisation}"
         return self._if_any(told, lambda: reference_forces(self.deck, self._nodes, enforcement, discretisation))
 
@@ -292,7 +291,7 @@ class _Judging:
 
     @cached_property
     def scale(self) -> float:
-        """Return the size of the forces of the deck: loads, supports and contacts, rounding of its places [force]."""
+        """Return the size of the deck's forces: loads, supports, contacts, and rounding of coordinates [force]."""
         assembly = self.deck.assembly
         held = ~np.isnan(assembly.prescribed)
         rounding = ROUNDING * float(assembly.stiffness.diagonal().max()) * float(abs(assembly.points).max())
@@ -318,7 +317,7 @@ class _Judging:
         rounding = float(np.linalg.norm(self.answer.noise[judged.unknowns], axis=1).sum())
         error = max(error, abs(along[0] - along[1]) - rounding)
         noise = self._noise(judged)
-        if size <= NEGLIGIBLE * self.tolerance * self.scale:  # nothing touches, but for the printed digits
+        if size <= NEGLIGIBLE * self.tolerance * self.scale:  # no contact, up to printed digits
             error, each, noise, size = 0.0, np.zeros(1), 0.0, 1.0
         off = Errors(error / size, float(each.max(initial=0.0)) / size)
         mesh, left = self._mesh_errors(number, size), noise / size
@@ -354,7 +353,7 @@ class _Judging:
         )
 
     def _stress_across(self, number: int, size: float) -> Iterator[str]:
-        """Say what the contact force would be in plane stress, where CalculiX's elements make a difference."""
+        """Return in words the contact force in plane stress, if CalculiX's elements differ from it."""
         if self._in_plane_stress:
             judged = self._nodes[number]
             here, there = (float(judged.along(one[number]).sum()) for one in (self._by_nodes, self._in_plane_stress))
@@ -363,7 +362,7 @@ class _Judging:
 
     @cached_property
     def _in_plane_stress(self) -> list[Forces]:
-        """Return the exact forces without stress across the plane, for elements of plane stress; [] for others."""
+        """Return the exact forces in plane stress for plane-stress elements, [] for others."""
         if not len(self.deck.assembly.topology.thicknesses):
             return []
         plain = Deck(replace(self.deck.model, ledger=Ledger(self.deck.model.file, read=self.deck.ledger.read[:1])))
@@ -372,7 +371,7 @@ class _Judging:
         )
 
     def _causes(self, found: Found, number: int, vectors: Forces) -> Iterator[str]:
-        """Yield in words what parts the answer of a pair, with these forces on its nodes, from the reference."""
+        """Yield in words the causes of a pair's difference from the reference, given its nodal forces."""
         judged = found.judged
         pair = judged.contact.pair
         if pair.type == "NODE TO SURFACE" and (pair.slave, pair.master) in self.deck.model.clearances:
@@ -392,7 +391,7 @@ class _Judging:
                 yield f"friction yields on the stick slope that the deck states: on it the nodes have {yielding:.6g}"
 
     def _noise(self, judged: PairNodes) -> float:
-        """Return what the printed digits leave of the resultant of a pair, and of its vector [force]."""
+        """Return the error of a pair's resultant, and of its vector, due to printed digits [force]."""
         unknowns = judged.unknowns
         along = np.zeros((1 + unknowns.shape[1], len(self.answer.u)))
         along[0, unknowns] = judged.direction
@@ -401,7 +400,7 @@ class _Judging:
         return max(self.answer.noise_along(one) for one in along)
 
     def _mesh_errors(self, number: int, size: float) -> Errors:
-        """Return how far other discretisations of a pair of faces are from the reference."""
+        """Return the differences of other discretisations of a pair of faces from the reference."""
         judged = self._nodes[number]
         resultant = node = 0.0
         for other in self._others(number):
@@ -413,7 +412,7 @@ class _Judging:
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
-        """Return what is wrong beside the contact pairs."""
+        """Return the errors other than those of contact pairs."""
         return (*self._moved_supports(), *self._out_of_balance())
 
     def _moved_supports(self) -> Iterator[str]:
@@ -430,7 +429,7 @@ class _Judging:
             )
 
     def _out_of_balance(self) -> Iterator[str]:
-        """Say where forces do not balance that no contact, tie or support could supply."""
+        """Return in words where unbalanced forces cannot be due to contacts, ties or supports."""
         left = self.answer.forces.copy()
         left[self._acted] = 0.0
         size = self.scale
@@ -453,7 +452,7 @@ class _Judging:
         return np.unique(np.concatenate(parts)).astype(np.int64)
 
     def _cut_numbers(self, left: Vector) -> Iterator[str]:
-        """Say whether numbers that CalculiX does not read whole are the reason."""
+        """Return in words whether truncated input numbers of CalculiX are the reason."""
         if not self.deck.model.long_numbers:
             return
         try:

@@ -1,7 +1,7 @@
-"""Forces of another code and of the exact answer at the slave nodes of a deck's contact pairs.
+"""Compute forces of another code and of the exact answer at the slave nodes of a deck's contact pairs.
 
-The forces of the other code follow from its displacements u by the deck's own stiffness: K u - f is what contacts, ties
-and supports do to the bodies, node by node. At a slave node that is the contact force, along the normal of the master.
+The forces of the other code follow from its displacements u by the deck's stiffness: K u - f are the nodal forces of
+contacts, ties and supports. At a slave node this is the contact force, along the normal of the master.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from contactqp.scene.deck.contacts import DeckContact, Discretisation
 from contactqp.scene.deck.deck import Deck, Enforcement
 from contactqp.solving.solve import solve
 
-# Rounding of printed digits is even over half a unit of the last one: so many standard deviations are no doubt left.
+# Rounding of printed digits is uniform within half a unit of the last one; this many standard deviations bound it.
 SURE = 6.0
-# A normal may lean so far towards a direction in which its node is held: the others then tell its force.
+# The largest component of a normal along a held direction with which the force is computed from the other components.
 LEANING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class ForeignAnswer:
-    """The displacements of another code over all unknowns of a deck, held ones included.
+    """The displacements of another code for all unknowns of a deck, including constrained ones.
 
     Attributes
     ----------
     deck : Deck
     u : (n,) array [length]
-    unit : (n,) array, what the last printed digit of each is worth [length]
+    unit : (n,) array, the unit of the last printed digit of each [length]
     """
 
     deck: Deck
@@ -45,29 +45,29 @@ class ForeignAnswer:
 
     @cached_property
     def forces(self) -> Vector:
-        """Return K u - f, what contacts, ties and supports do to the bodies, (n,) [force]."""
+        """Return K u - f (n,), the nodal forces of contacts, ties and supports [force]."""
         return np.asarray(self.deck.assembly.stiffness @ self.u - self.deck.assembly.load)
 
     @cached_property
     def variance(self) -> Vector:
-        """Return the variance of the rounding of each u, even over one unit of the last digit [length^2]."""
+        """Return the variance of the rounding of each u, uniform over one unit of the last digit [length^2]."""
         return np.asarray(self.unit**2 / 12)
 
     @cached_property
     def noise(self) -> Vector:
-        """Return what the printed digits leave of `forces`, (n,) [force]."""
+        """Return the error of `forces` due to printed digits (n,) [force]."""
         squares = self.deck.assembly.stiffness.copy()
         squares.data = squares.data**2
         return np.asarray(SURE * np.sqrt(squares @ self.variance))
 
     def noise_along(self, direction: Vector) -> float:
-        """Return what the printed digits leave of the sum of the forces times a direction (n,) [force]."""
+        """Return the error, due to printed digits, of the sum of the forces times a direction (n,) [force]."""
         along = self.deck.assembly.stiffness @ direction
         return float(SURE * np.sqrt((along**2) @ self.variance))
 
     @cached_property
     def recovered(self) -> Vector:
-        """Return the forces of all contacts, node to segment, that balance together what acts on the free unknowns."""
+        """Return the forces of all contacts, node to segment, that together balance the free unknowns."""
         problem = self.deck.problem()
         rows = sp.csr_array(sp.vstack([problem.normal, problem.tie], format="csr"))
         pushing = np.zeros(rows.shape[0], dtype=bool)
@@ -84,14 +84,14 @@ class PairNodes:
     contact : node to segment
     nodes : (q,) array of int
     direction : (q, d) array
-        The normal of the master at each, or minus the slave's own where it has no partner; without the parts along
-        which supports, ties or other pairs act on the node, and longer by as much, so that force n times it is force.
+        The normal of the master at each, or minus the slave's normal without partner; without components along which
+        supports, ties or other pairs act, and scaled so that its product with the force is the normal force.
     measured : (q, d) array of bool
-        Where the force of the pair on a node is known along an axis: nothing else acts there.
-    row : (q,) array of int, the contact of each among those of the pair, -1 where it has none
+        Whether the force on a node along an axis is known, as nothing else acts there.
+    row : (q,) array of int, the contact of each among those of the pair, -1 if it has none
     contacts : (q,) array of int
-        The contact of each among those of the problem, -1 where it has none or where nothing moves it.
-    alone : nothing but the pair acts on these nodes along their normals, so that their forces are known one by one
+        The contact of each among those of the problem, -1 if it has none or cannot move.
+    alone : whether only the pair acts on these nodes along their normals, so that single forces are known
     """
 
     contact: DeckContact
@@ -104,36 +104,36 @@ class PairNodes:
 
     @property
     def unknowns(self) -> Index:
-        """Return where the displacements of the nodes stand in u, (q, d)."""
+        """Return the indices of the nodes' displacements in u, (q, d)."""
         return np.asarray(self.contact.slave.unknowns[self.nodes])
 
     @property
     def of_quadratic_faces(self) -> bool:
-        """Return whether the deck asks for contact of faces, and the slave's are quadratic."""
+        """Return whether the deck has contact of faces with a quadratic slave."""
         return self.contact.pair.type != "NODE TO SURFACE" and kind_of(self.contact.slave).quadratic
 
     @cached_property
     def area(self) -> Vector:
-        """Return the share of the slave surface that belongs to each node, (q,) [area]."""
+        """Return the area of the slave surface that belongs to each node, (q,) [area]."""
         slave = self.contact.slave
         return np.asarray(tributary_areas(slave)[np.searchsorted(slave.nodes, self.nodes)])
 
     def pressure(self, force: Vector) -> Vector:
-        """Return the pressures that forces of the nodes (q,) [force] are projected onto (q,) [force / length^2]."""
+        """Return the pressures (q,) from nodal forces (q,) [force] by projection [force / length^2]."""
         order = np.argsort(self.nodes)
         found = np.empty(len(force))
         found[order] = nodal_pressure(self.contact.slave, self.nodes[order]).of(force[order])
         return found
 
     def gap(self, u: Vector) -> Vector:
-        """Return the gaps at a displacement of all unknowns, NaN where a node has no partner, (q,) [length]."""
+        """Return the gaps (q,) at a displacement of all unknowns, NaN for nodes without partner [length]."""
         pairing, paired = self.contact.pairing, self.row >= 0
         found = np.full(len(self.row), np.nan)
         found[paired] = (pairing.gap - pairing.normal @ u)[self.row[paired]]
         return found
 
     def forces(self, answer: ForeignAnswer) -> tuple[Vector, Array]:
-        """Return the normal forces (q,) of another code, and its forces as vectors on the nodes (q, d) [force]."""
+        """Return the normal forces (q,) of another code, and its nodal force vectors (q, d) [force]."""
         if self.alone:
             vectors = np.where(self.measured, answer.forces[self.unknowns], 0.0)
             return self.along(vectors), vectors
@@ -141,16 +141,16 @@ class PairNodes:
         return force, force[:, None] * self.direction
 
     def along(self, vectors: Array) -> Vector:
-        """Return the parts of vectors (q, d) along the normals, (q,)."""
+        """Return the components of vectors (q, d) along the normals, (q,)."""
         return np.asarray(np.einsum("qd,qd->q", vectors, self.direction))
 
     @property
     def has_friction(self) -> bool:
-        """Return whether there is friction, and the forces along the surface are known."""
+        """Return whether there is friction and the tangential forces are known."""
         return self.alone and self.contact.interaction.friction > 0
 
     def friction(self, vectors: Array) -> float:
-        """Return the sum of the sizes of the parts of vectors (q, d) along the surface, 0 without friction [force]."""
+        """Return the sum of the sizes of the tangential components of vectors (q, d), 0 without friction [force]."""
         if not self.has_friction:
             return 0.0
         size = (self.direction**2).sum(axis=1, keepdims=True)
@@ -159,11 +159,11 @@ class PairNodes:
 
     @cached_property
     def shares(self) -> Any:
-        """Return how the forces of nodes are shared before they are compared, (q, q) CSR: each is its own as a rule.
+        """Return the CSR matrix (q, q) applied to nodal forces before comparison, usually the identity.
 
-        Forces of faces on quadratic elements are no forces of nodes: under an even pressure the corners of a
-        serendipity face pull. Half of the force in the middle of an edge goes to each of its ends: the integrals of the
-        pressure with the linear shape functions, in which a pull is one.
+        On quadratic faces single nodal forces mean little: under constant pressure the corner forces of a serendipity
+        face are tensile. Half of the force at the middle of an edge is added to each of its ends, which gives the
+        integrals of the pressure with linear shape functions, in which tension is real.
         """
         count, slave = len(self.nodes), self.contact.slave
         kind = kind_of(slave)
@@ -185,7 +185,7 @@ class PairNodes:
 
 
 def pair_nodes(deck: Deck, number: int) -> PairNodes:
-    """Return the nodes at which a contact pair is judged: all slave nodes that the pair alone acts on, if it can be."""
+    """Return the nodes at which a contact pair is judged, if possible all slave nodes on which only the pair acts."""
     contacts = deck.by_nodes
     contact = contacts.pairs[number]
     slave, pairing = contact.slave, contact.pairing
@@ -215,7 +215,7 @@ def reference_forces(
 ) -> list[Array]:
     """Return the forces (q, d) of the exact answer on the slave nodes of each pair, friction included [force].
 
-    Where forces are not known node by node, they are those of the contacts along their normals.
+    If single nodal forces are unknown, they are those of the contacts along their normals.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""The verdict of a cross-check: pair by pair the forces of the other code, the exact ones, and the cause in words."""
+"""State the verdict of a cross-check: for each pair the forces of the other code, the exact ones, and the cause in
+words.
+"""
 
 from __future__ import annotations
 
@@ -16,30 +18,30 @@ from contactqp.model.names import Units
 from contactqp.model.problem_data import ReadOnly
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
 
-# A spring law is recognised where its stiffnesses at nine nodes in ten differ by no more than this factor.
+# A spring law is recognised if its stiffnesses at nine of ten nodes differ by at most this factor.
 ALIKE = 1.5
-# Nodes lie in one plane where the part of their coordinates across it is below this.
+# Nodes lie in one plane if their relative distance from it is below this.
 PLANE = 1e-9
-# A slave node stands over the edge of the master within this part of a facet.
+# A slave node is over the edge of the master within this part of a facet.
 EDGE = 1e-6
-# A force of this part of what the tolerance is of the resultant is worth a word.
+# A force above this part of the tolerance times the resultant is mentioned.
 WORTH = 0.1
-# A pair has no force where its forces are below this part of the reference's.
+# A pair has no force if its forces are below this part of the reference's.
 NOTHING = 1e-3
-# Nodes that push with less than this part of the largest force say little of a stiffness.
+# Nodes with less than this part of the largest force are not used for a stiffness.
 PUSHING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The forces of a pair as they are compared: after `PairNodes.shares`.
+    """The forces of a pair for comparison, after `PairNodes.shares`.
 
     Attributes
     ----------
     judged : PairNodes
-    force, truth : (q,) arrays, normal forces of the other code, and of the reference [force]
-    gap : (q,) array, in the answer of the other code, NaN where a node has no partner [length]
-    size : the resultant that errors are measured by [force]
+    force, truth : (q,) arrays, normal forces of the other code and of the reference [force]
+    gap : (q,) array, in the answer of the other code, NaN for nodes without partner [length]
+    size : the reference resultant for errors [force]
     """
 
     judged: PairNodes
@@ -50,7 +52,7 @@ class Found:
 
 
 def causes_of(found: Found, tolerance: float) -> Iterator[str]:
-    """Yield what parts a pair from the reference: no contact, adhesion, springs, a lost edge, forces across gaps."""
+    """Yield the causes of a pair's difference: no contact, adhesion, springs, a lost edge, forces across gaps."""
     if abs(found.force).sum() <= NOTHING * found.truth.sum():
         yield "it has no contact force: the pair was not found, or its surfaces do not reach each other"
         return
@@ -97,7 +99,7 @@ def is_plane(surface: Surface) -> bool:
 
 
 def _over_the_edge(judged: PairNodes) -> Mask:
-    """Return which slave nodes stand over an edge that belongs to one facet of the master only, (q,)."""
+    """Return the slave nodes (q,) over an edge that belongs to only one facet of the master."""
     pairing, master = judged.contact.pairing, judged.contact.master
     edges = master.facets[:, kind_of(master).edges].reshape(-1, kind_of(master).edges.shape[1])
     ordered, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
@@ -124,53 +126,54 @@ def _range(values: Vector) -> str:
 
 
 Word = Literal["right", "wrong", "undecided"]
-# Nodes that a summary lists of each pair.
+# The most nodes of each pair listed in a summary.
 WORST = 5
 
 
 @dataclass(frozen=True, eq=False)
 class PairVerdict(ReadOnly):
-    """One contact pair judged.
+    """The verdict on one contact pair.
 
     Attributes
     ----------
     name : str
         ``SLAVE on MASTER``.
     type : str
-        How the deck asks for it: ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``.
+        The type in the deck: ``"NODE TO SURFACE"``, ``"SURFACE TO SURFACE"`` or ``"MORTAR"``.
     word : str
-        ``"right"``, ``"wrong"``, or ``"undecided"`` where printed digits or the mesh leave more open than is asked for.
+        ``"right"``, ``"wrong"``, or ``"undecided"`` if the error of printed digits or of the mesh exceeds the
+        tolerance.
     resultant, reference_resultant : float
         The sums of the normal forces of the other code and of the reference [force].
     total, reference_total : (d,) arrays
-        The forces on the slave surface, friction included, as vectors [force].
+        The force vectors on the slave surface, including friction [force].
     error, node_error : float
-        The difference of the resultants or the vectors, and the largest difference at a node, of the resultant [-].
+        The difference of the resultants or the vectors, and the largest at a node, relative to the resultant [-].
     noise : float
-        What the printed digits leave of it [-].
+        The error due to printed digits, likewise [-].
     penalty_resultant, other_resultant : float, optional
-        The sums of the exact forces on the springs that the deck states, and in another discretisation of the mesh: no
-        overlap at Gauss points of the faces or, of quadratic faces, at nodes.
+        The sums of the exact forces of the deck's springs, and in another discretisation of the mesh: no overlap at
+        Gauss points of the faces or, for quadratic faces, at nodes.
     mesh_error, mesh_node_error : float
-        How far exact answers in other discretisations of the mesh are from the reference, measured likewise [-]; 0
-        where the deck itself asks for nodes.
+        The differences of exact answers in other discretisations of the mesh, measured likewise [-]; 0 for contact of
+        nodes.
     causes : tuple of str
-        What parts the two answers, in words.
+        The causes of the difference, in words.
     labels : (m,) array of int
-        The slave nodes, those that cannot move left out; of quadratic faces that are integrated over, the corners.
+        The slave nodes that can move; of quadratic faces with integration points, the corners.
     force, reference_force : (m,) arrays
         Their normal forces [force].
     gap : (m,) array
         Their gaps in the answer of the other code, negative for overlap [length].
     points : (m, d) array
-        Where these nodes are [length].
+        The coordinates of these nodes [length].
     pressure, reference_pressure : (m,) arrays
-        The pressures at these nodes that the forces are projected onto [force / length^2].
+        The pressures at these nodes by projection of the forces [force / length^2].
     notes : tuple of str
-        What the mesh is too coarse for.
+        Notes on quantities for which the mesh is too coarse.
     friction, reference_friction : float, optional
-        The sums of the sizes of the forces along the surface; None without friction, and where other forces act on the
-        nodes [force].
+        The sums of the sizes of the tangential forces; None without friction, and if other forces act on the nodes
+        [force].
     """
 
     name: str
@@ -240,28 +243,28 @@ class PairVerdict(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck(ReadOnly):
-    """What `crosscheck` returns; it is false unless every pair is right and everything is in balance.
+    """The result of `crosscheck`, which is false unless every pair is right and all forces balance.
 
     Attributes
     ----------
     deck : str
     results : str
-        The file of the answer that was judged.
+        The file of the judged answer.
     code : str
-        The program that wrote it, as far as it is known.
+        The program that wrote it, if known.
     reference : str
         ``"exact"`` or ``"penalty"``.
     error_tolerance : float
-        What `error` of a pair may be.
+        The largest admissible `error` of a pair.
     pairs : tuple of PairVerdict
     findings : tuple of str
-        What is wrong beside the contact pairs: unknowns out of balance, supports that moved.
+        Errors other than those of contact pairs: unbalanced unknowns, supports that moved.
     warnings : tuple of str
-        What the program itself warned of.
+        Warnings of the program.
     ledger : Ledger
-        What became of the cards of the deck.
+        How the cards of the deck were read.
     units : Units
-        The names of the deck's units, for its words; none by default.
+        The names of the deck's units for messages, none by default.
     """
 
     deck: str
@@ -285,7 +288,7 @@ class CrossCheck(ReadOnly):
 
     @property
     def passed(self) -> bool:
-        """Return whether all of it is right within the tolerance."""
+        """Return whether everything is right within the tolerance."""
         return self.word == "right"
 
     def __bool__(self) -> bool:

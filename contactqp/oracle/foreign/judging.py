@@ -1,7 +1,7 @@
-"""An answer of another code, completed and certified, with the right one beside, contact by contact.
+"""Complete and certify an answer of another code, and compare it with the right one contact by contact.
 
-What was not given is recovered from the rest (`recovery`), and of the completions the first that passes the certificate
-is taken. Of several equilibria the one nearest to what was given is the right one.
+Missing parts are recovered from the others (`recovery`), and the first completion that passes the certificate is taken.
+Of several equilibria the one nearest to the given answer is the right one.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from contactqp.oracle.foreign.recovery import displaced, pressed
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
 
-# Contacts of which all combinations of open, stick and slip are tried: 256 of them, each 1 to 3 ms.
+# The most contacts for which all combinations of open, stick and slip are tried: 256, each 1 to 3 ms.
 FEW = 4
-# Steps of each algorithm of friction that look for an equilibrium near a given answer.
+# Steps of each friction algorithm in the search for an equilibrium near a given answer.
 STEPS_FROM_ANSWER = 20
 
 
 @dataclass(frozen=True, eq=False)
 class GivenAnswer(AnswerOf[Vector | None, Array | None], ReadOnly):
-    """The parts of an answer that were given, in the problem's own order, signs and units; None where one was not."""
+    """The given parts of an answer in the problem's order, signs and units, None for missing ones."""
 
-    compression: str = "positive"  # the sign that its normal forces came with
-    pressure_area: Vector | None = None  # (m,) what they were multiplied by
+    compression: str = "positive"  # the original sign of its normal forces
+    pressure_area: Vector | None = None  # (m,) the areas by which they were multiplied
     notes: tuple[str, ...] = ()
 
     def filled(self, problem: ContactProblem) -> Answer:
-        """Return the answer with zeros for what was not given."""
+        """Return the answer with zeros for missing parts."""
         width = () if problem.slip_origin is None else problem.slip_origin.shape
         none = np.zeros(width) if problem.slip_origin is not None else None
         return Answer(
@@ -58,7 +58,7 @@ class GivenAnswer(AnswerOf[Vector | None, Array | None], ReadOnly):
 
 
 def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...]:
-    """Return the parts that the problem has and that were not given."""
+    """Return the names of the missing parts."""
     wanted = {
         "displacement": True,
         "normal_force": problem.contacts > 0,
@@ -70,7 +70,7 @@ def missing_parts(problem: ContactProblem, given: GivenAnswer) -> tuple[str, ...
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """A complete answer, and what of it was recovered."""
+    """A complete answer, and the names of its recovered parts."""
 
     answer: Answer
     recovered: tuple[str, ...]
@@ -78,10 +78,10 @@ class Recovery:
 
 
 def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
-    """Complete answers, the plain way first.
+    """Yield complete answers, the simple completion first.
 
-    Raises InvalidProblem: what is recovered is beyond doubles; Unsupported: forces alone were given and the body is too
-    large to factorise.
+    Raises InvalidProblem: a recovered part overflows; Unsupported: only forces were given, and the body is too large to
+    factorise.
     """
     missing = missing_parts(problem, given)
     if not missing:
@@ -101,9 +101,9 @@ def recoveries(problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery
 
 
 def _recovered_there(twin: ActingRows | NearOne, problem: ContactProblem, given: GivenAnswer) -> Iterator[Recovery]:
-    """Complete answers of the rows that act, or in units in which numbers are near one, as those of the problem.
+    """Yield complete answers by a problem of the acting rows, or in units with numbers near one.
 
-    What was given stays as it was.
+    Given parts are unchanged.
     """
     names = [name for name in ANSWER_PARTS if getattr(given, name) is not None]
     there = twin.answer(given.filled(problem))
@@ -140,7 +140,7 @@ def certify_given(
         if found.passed:
             return found, tried
         first = first or (found, tried)
-    assert first is not None  # there is always a plain way
+    assert first is not None  # there is always a simple completion
     if (completed := _with_forces_of_solution(problem, given)) is None:
         return first
     found = certificate_of(problem, completed.answer, tolerance, error_tolerance, factorization)
@@ -148,10 +148,11 @@ def certify_given(
 
 
 def _with_forces_of_solution(problem: ContactProblem, given: GivenAnswer) -> Recovery | None:
-    """Complete a displacement with the forces of the solution; None with friction, of large problems, or without one.
+    """Return a displacement with the forces of the solution, None with friction, for large problems, or without a
+    solution.
 
-    Nearly dependent rows share what balances a displacement's rounding, and forces that are none are found as noise:
-    where the displacement is right, the solution's forces belong to it.
+    With nearly dependent rows, forces from a displacement contain its magnified rounding; the solution's forces are
+    right if the displacement is.
     """
     missing = missing_parts(problem, given)
     if given.displacement is None or "normal_force" not in missing or problem.frictional or not problem.is_small:
@@ -167,15 +168,15 @@ def _with_forces_of_solution(problem: ContactProblem, given: GivenAnswer) -> Rec
 
 @dataclass(eq=False)
 class HeldAgainst:
-    """The right answers to a problem and to the questions that stand beside it, found once for all that is judged."""
+    """The cached right answers to a problem and to other questions, for all judged answers."""
 
     problem: ContactProblem
-    solution: Solution | ContactQPError | None = None  # or why there is none
+    solution: Solution | ContactQPError | None = None  # or the reason why there is none
     others: dict[Any, Answer | ContactQPError] = field(default_factory=dict)  # oracle.diagnosis: by question
 
 
 def held_against(problem: ContactProblem) -> HeldAgainst:
-    """Return what answers to this problem are held against; it is kept for the last problem of these matrices."""
+    """Return the cached right answers to this problem; the cache keeps the last problem of these matrices."""
     kept = problem._computed.held_against
     if kept is None or kept.problem is not problem:
         kept = problem._computed.held_against = HeldAgainst(problem)
@@ -183,7 +184,7 @@ def held_against(problem: ContactProblem) -> HeldAgainst:
 
 
 def _kept_solution(kept: HeldAgainst) -> Solution:
-    """Return the certified solution, solving once; raise each time what that raised, unless the time was up."""
+    """Return the certified solution, computed once; errors are raised again each time, except a time limit."""
     if kept.solution is None:
         try:
             kept.solution = solve(kept.problem)
@@ -199,7 +200,7 @@ def _kept_solution(kept: HeldAgainst) -> Solution:
 def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
     """Return a certified solution; of several equilibria the one nearest to the answer, in the energy scale.
 
-    Raises ContactQPError: there is none, or none was found.
+    Raises ContactQPError: none exists, or none was found.
     """
     found = _kept_solution(held_against(problem))
     others = found.certificate.uniqueness
@@ -214,20 +215,20 @@ def right_answer(problem: ContactProblem, answer: Answer) -> Solution:
 
 
 def _from(problem: ContactProblem, answer: Answer) -> Solution:
-    """Return the equilibrium that Newton's method finds from the answer."""
+    """Return the equilibrium found by Newton's method from the answer."""
     if (near := near_one(problem)) is not None:
         return of_problem(near, _from(near.problem, near.answer(answer)))
     return begin(problem, start=Candidate(answer), max_iter=STEPS_FROM_ANSWER).finish()
 
 
-# Said where some gaps are not `determined_gaps`.
+# The note for gaps that are not unique (`determined_gaps`).
 EQUALLY_GOOD = "the right answer is not the only one: other displacements have the same energy, and other gaps"
 
 
 def determined_gaps(problem: ContactProblem, right: Solution) -> Mask:
-    """Return the contacts (m,) whose gaps are those of the right answer in every answer that is as good.
+    """Return the contacts (m,) whose gaps are the same in every right answer.
 
-    A linear program may have several best vertices, and contacts that are open may come nearer as bodies slide freely.
+    A linear program may have several optimal vertices, and gaps of open contacts may change as bodies slide freely.
     """
     if right.certificate.determined == BY_ENERGY:
         return np.zeros(problem.contacts, dtype=bool)
@@ -239,13 +240,13 @@ def determined_gaps(problem: ContactProblem, right: Solution) -> Mask:
 
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
-# Without bounds, forces and gaps that differ by less than this part of the largest are the same.
+# Without bounds, forces and gaps that differ by less than this part of the largest count as equal.
 SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedContact(ReadOnly):
-    """One contact of a given answer that is wrong, in the problem's units, forces positive in compression."""
+    """A wrong contact of a given answer, in the problem's units, with forces positive in compression."""
 
     name: str
     index: int
@@ -261,7 +262,7 @@ class JudgedContact(ReadOnly):
     right_slip: Array | None
 
     def data(self) -> dict[str, Any]:
-        """Return the contact as plain data for JSON; what is not finite is null."""
+        """Return the contact as plain data for JSON, with null for values that are not finite."""
         return {
             "contact": self.name,
             "index": self.index,
@@ -289,7 +290,7 @@ def _plain(value: Any) -> Any:
 def judged_contacts(
     problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
 ) -> tuple[JudgedContact, ...]:
-    """Return the wrong contacts of an answer that is refused, worst first.
+    """Return the wrong contacts of a refused answer, worst first.
 
     Parameters
     ----------
@@ -330,7 +331,7 @@ def _of(values: Array | None, i: int) -> Array | None:
 def _measures(
     problem: ContactProblem, answer: Answer, certificate: Certificate, right: Solution | None
 ) -> tuple[list[str], Array]:
-    """Return the names (q,) and the sizes (q, m) of what each contact breaks."""
+    """Return the names (q,) and the sizes (q, m) of the violations of each contact."""
     m, found = problem.contacts, certificate.violations
     if found is None:
         bad = ~np.isfinite(answer.normal_force)
@@ -354,7 +355,7 @@ def _measures(
 
 
 def _apart(answer: Answer, right: Solution) -> Vector:
-    """Return how far the forces of each contact are from the right ones, as a part of the largest right one."""
+    """Return the force errors of each contact relative to the largest right force."""
     apart = abs(answer.normal_force - right.normal_force)
     if answer.friction_force is not None and right.friction_force is not None:
         apart = np.maximum(apart, np.max(abs(answer.friction_force - right.friction_force), axis=1, initial=0.0))
@@ -364,13 +365,13 @@ def _apart(answer: Answer, right: Solution) -> Vector:
 
 
 def aligned(lines: list[list[str]]) -> list[str]:
-    """Return the cells of lines as text in columns, each as wide as its widest cell."""
+    """Return lines of cells as text in aligned columns."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
 def contacts_table(problem: ContactProblem, contacts: tuple[JudgedContact, ...], limit: int = 20) -> str:
-    """Return a table of the contacts as text, `limit` of them at most."""
+    """Return a table of at most `limit` contacts as text."""
     if not contacts:
         return "no contact is wrong"
     force, length = (f" [{unit}]" if unit else "" for unit in (problem.units.force, problem.units.length))

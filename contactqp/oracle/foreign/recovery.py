@@ -1,21 +1,20 @@
-"""Recover the parts of an answer that were not given from those that were.
+"""Recover missing parts of an answer from the given ones.
 
-Forces from displacements. What equilibrium asks of the rows B = [E_N; E_T; A],
+Forces from displacements: equilibrium with the rows B = [E_N; E_T; A],
 
     B'l = f - K u,
 
-in the least-squares sense, the unknowns in the energy scale; rows that depend on one another carry their resultant
-without tension where they can. What this cannot explain is left as lack of equilibrium, for the certificate to see.
+is solved by least squares with unknowns scaled by energy; dependent rows share their resultant without tension if
+possible. The remainder is left as a residual for the certificate.
 
-Displacements from forces. K u + A'nu = f - E_N'l_N - E_T'l_T, A u = b. What then still floats is shifted so that the
-contacts that push are closed, as little as that takes; with friction also so that contacts that stick stay where they
-are, those that slip do so along their friction, and no other contact is penetrated.
+Displacements from forces: K u + A'nu = f - E_N'l_N - E_T'l_T, A u = b. Floating bodies are then shifted by the least
+motion that closes the contacts with force; with friction also sticking contacts keep their position, slipping ones slip
+along their friction, and no other contact is penetrated.
 
-Both ways multiply rounding: the forces of a stiff body are not known from the doubles of its displacement, nor is a
-displacement that is the small difference of two large ones from the doubles of its forces. Each therefore has a second
-way, which is taken where it alone passes the certificate: the forces that hold the touching contacts where they are,
-and the displacement that holds the pushing contacts closed. The certificate judges either by the problem as it is;
-`judging.certify_given` takes the completion that passes.
+Both magnify rounding errors, for stiff bodies and for displacements that are small differences of large ones. Each
+therefore has an alternative, which is used if only this passes the certificate: the forces that hold the touching
+contacts at their gaps, and the displacement with the contacts with force closed. The certificate judges both by the
+original problem; `judging.certify_given` takes the completion that passes.
 """
 
 from __future__ import annotations
@@ -40,29 +39,29 @@ from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
-# Forces of rows that balance a given residual: B'l = r in the least-squares sense, one connected group at a time.
+# Forces of rows that balance a given residual: B'l = r by least squares, for one connected group at a time.
 
-# Rows of unit length that are closer to dependent than this are dependent.
+# The tolerance of dependence for rows of unit length.
 DEPENDENT_UNIT_ROWS = 1e-12
-# Groups of more rows than this are solved for iteratively.
+# Groups of more rows are solved iteratively.
 DENSE_ROWS = 1500
-# Forces without tension may explain this much less of the residual than any forces would.
+# The largest relative increase of the residual for forces without tension.
 NEARLY_AS_WELL = 1e-9
-# What least squares leave of forces that are zero, as a part of what they balance.
+# The relative error of zero forces by least squares, over the balanced residual.
 ROUNDED = 16 * EPS
-# Forces of this part of the largest, which HiGHS' linear programs know to 1e-7, act.
+# Forces above this part of the largest count as acting; HiGHS' linear programs have errors of 1e-7.
 ACTING = 1e-6
 
 
 def balancing_forces(
     rows: Any, residual: Vector, pushing_only: Mask, scale: Vector, left: Vector | None = None
 ) -> tuple[Vector, bool]:
-    """Return forces l (q,) of rows B (q, n) with B'l = r, and whether some were shared among dependent rows.
+    """Return forces l (q,) of rows B (q, n) with B'l = r, and whether some rows are dependent.
 
-    Unknowns are scaled by `scale` (n,), 1/sqrt(K_jj). Where rows are independent the forces are what they are; where
-    they are not, those that only push share the resultant without tension if that explains it as well, and so that
-    l'd is least where the lengths d (q,) are given that the rows leave, g - E u and b - A u: forces with one resultant
-    have the same displacement, and of these the multipliers of the minimum are those of the largest dual energy.
+    Unknowns are scaled by `scale` (n,), 1/sqrt(K_jj). Forces of dependent rows are chosen without tension if that
+    balances the residual as well, and with the least l'd if the lengths d (q,) of the rows, g - E u and b - A u, are
+    given: forces with the same resultant have the same displacement, and the multipliers of the minimum are those of
+    the largest dual energy.
 
     Parameters
     ----------
@@ -111,7 +110,7 @@ def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vec
     most = np.linalg.norm(B.T @ force - r) / size + NEARLY_AS_WELL
     if not left <= most:
         return np.asarray(force), True
-    if np.any(cost) and np.any(share):  # where no row acts there is nothing to choose among
+    if np.any(cost) and np.any(share):  # without acting rows there is no choice
         chosen = _of_least_work(B, share, pushing_only, cost)
         cheaper, left = forces_without_tension(B[chosen], r / size, pushing_only[chosen])
         if left <= most:
@@ -121,9 +120,7 @@ def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vec
 
 
 def _of_least_work(B: Array, force: Vector, pushing_only: Mask, cost: Vector) -> Indices:
-    """Return the rows that act where forces with the same resultant B'l as some do the least work l'd, by a linear
-    program.
-    """
+    """Return the acting rows of the forces with the same resultant B'l and the least work l'd, by a linear program."""
     from scipy.linalg import null_space
     from scipy.optimize import linprog
 
@@ -149,21 +146,21 @@ def _iteratively(B: Any, r: Vector) -> Vector:
 
 # Forces of dependent frictional contacts that obey Coulomb's law, from a displacement.
 #
-# A touching contact that slips pushes and drags along one direction, l_N (1, mu s/|s|); one that sticks along any
-# combination of the edges of its cone, in the plane exactly, in space of an inscribed polygon. The least squares of
-# equilibrium over such combinations with no negative part are forces within the law, where such forces exist. Where
-# normal forces are given, the parts of a contact's combination add up to its force, with an idle part where it sticks.
+# The force of a slipping contact has one direction, l_N (1, mu s/|s|); that of a sticking contact is a nonnegative
+# combination of the edges of its cone, in space of an inscribed polygon. Least squares of equilibrium over nonnegative
+# combinations give forces within the law if they exist. With given normal forces the coefficients of a contact add up
+# to its force, with a slack variable if it sticks.
 
-# A gap or a slip of this part of its lengths is none.
+# A gap or a slip below this part of its lengths counts as zero.
 NOTHING = 1e-9
-# Sides of the polygon that stands for the cone of a sticking contact in space.
+# Sides of the polygon that replaces the cone of a sticking contact in space.
 SIDES = 32
 
 
 def _tangential_lengths(problem: ContactProblem, displacement: Vector) -> Vector:
-    """Return |L| (m,) of each contact's tangential rows [length]; a row at rest adds none where another one moves.
+    """Return |L| (m,) of each contact's tangential rows [length], without rows at rest if another one moves.
 
-    It is infinite where all are at rest.
+    It is infinite if all are at rest.
     """
     if problem.tangent is None or problem.slip_origin is None:
         return np.full(problem.contacts, np.inf)
@@ -181,7 +178,7 @@ def lawful_share(
     push: Vector | None = None,
     none: float = NOTHING,
 ) -> Answer | None:
-    """Return a displacement with contact forces, and tie forces, that obey the law; None without friction.
+    """Return a displacement with contact and tie forces that obey the law, None without friction.
 
     Parameters
     ----------
@@ -227,7 +224,7 @@ def lawful_share(
 
 
 def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
-    """Return the contact (q,) and the direction (q, d-1) of each edge that forces may lie along."""
+    """Return the contact (q,) and the direction (q, d-1) of each admissible edge of a cone."""
     slipping, sticking = np.flatnonzero(touching & moving), np.flatnonzero(touching & ~moving)
     if along.shape[1] == 1:
         every = np.array([[1.0], [-1.0]])
@@ -238,15 +235,15 @@ def _edges(touching: Mask, moving: Mask, along: Array) -> tuple[Indices, Array]:
     return contacts, np.concatenate([along[slipping], np.tile(every, (len(sticking), 1))])
 
 
-# A gap of this part of its lengths is none, and a force of this part of the largest, in what is given.
+# Given gaps below this part of their lengths, and forces below this part of the largest, count as zero.
 TOUCHING, PUSHING = 1e-6, 1e-12
-# Friction that misses its bound by this part of it slips, in what is given: both may be printed with six digits.
+# Given friction within this part of its bound slips, as both may be printed with six digits.
 AT_BOUND = 2e-5
 NO_CONTACTS = np.zeros(0, dtype=np.intp)
 
 
 def pressed(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
-    """Yield forces from a displacement."""
+    """Yield answers with forces computed from the displacement."""
     rows = extended_rows(problem)
     residual = extend(problem.load) - rows.stiffness @ extend(answer.displacement)
     residual = residual - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
@@ -271,14 +268,14 @@ def pressed(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -
     touching = _Unknowns(problem, missing, np.flatnonzero(gap <= TOUCHING * length))
     load = (extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))).double()
     load = load - rows.friction_force(answer.friction_force).double()
-    felt = np.diff(touching.rows.indptr) > 0  # along a tangent that is supported nothing can be held
+    felt = np.diff(touching.rows.indptr) > 0  # supported tangents need no constraint
     held, rows_felt = np.zeros(len(felt)), touching.rows[felt]
     held[felt] = _held(problem, load, rows_felt, rows_felt @ answer.displacement)[1]
     yield touching.filled(answer, held), "as what holds the touching contacts where they are"
 
 
 class _Unknowns:
-    """The rows whose forces are missing, normal ones first, and where these forces go."""
+    """The rows whose forces are missing, normal ones first, and the indices of these forces."""
 
     def __init__(self, problem: ContactProblem, missing: tuple[str, ...], contacts: Indices) -> None:
         self._problem, self._missing, self._contacts = problem, missing, contacts
@@ -295,7 +292,7 @@ class _Unknowns:
         self.rows = sp.csr_matrix(sp.vstack([sp.csr_matrix(block) for block in blocks])) if blocks else none
 
     def missed_lengths(self, displacement: Vector) -> Vector:
-        """Return the lengths that the rows leave without friction: gaps, and what ties are open by."""
+        """Return gaps and tie residuals b - A u of the rows, without friction."""
         rows, u = extended_rows(self._problem), extend(displacement)
         gap = (extend(self._problem.gap) - rows.normal @ u).double()[self._contacts]
         tie = (extend(self._problem.tie_value) - rows.tie @ u).double()
@@ -318,7 +315,7 @@ class _Unknowns:
 
 
 def displaced(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -> Iterator[tuple[Answer, str]]:
-    """Yield a displacement, and tie forces, from contact forces."""
+    """Yield answers with displacement and tie forces computed from contact forces."""
     if iterated(problem) and may_be_factorised(problem):
         with factorised(problem):
             yield from displaced(problem, answer, missing)
@@ -357,8 +354,8 @@ def displaced(problem: ContactProblem, answer: Answer, missing: tuple[str, ...])
 def _lengths_held(
     problem: ContactProblem, answer: Answer, closed: Indices
 ) -> Iterator[tuple[Any, Vector, str, Array | None]]:
-    """Yield the rows that the law holds where contacts push (`closed`), their values, which they are, and the friction
-    that acts beside them as a load: first ties and normal rows, then the tangential rows of what sticks as well.
+    """Yield the rows constrained by the law at contacts with force (`closed`), their values and numbers, and the
+    friction that acts as a load: first ties and normal rows, then also the tangential rows of sticking contacts.
     """
     if not closed.size:
         return
@@ -379,7 +376,7 @@ def _lengths_held(
 
 
 def _inside_the_cone(problem: ContactProblem, answer: Answer, pushing: Indices) -> Indices:
-    """Return the pushing contacts whose friction is below its bound by more than printed digits may hide."""
+    """Return the contacts with force whose friction is below its bound by more than printed digits."""
     assert problem.friction is not None
     assert answer.friction_force is not None
     bound = (1 - AT_BOUND) * problem.friction[pushing] * answer.normal_force[pushing]
@@ -393,10 +390,10 @@ def _completed(answer: Answer, u: Vector, tie: Vector, missing: tuple[str, ...])
 def _held(
     problem: ContactProblem, load: Vector, rows: Array, values: Vector, pushing: Indices = NO_CONTACTS
 ) -> tuple[Vector, Vector, Array]:
-    """Solve K u + B'l = load with rows held at values, B u = values.
+    """Solve K u + B'l = load with B u = values.
 
-    Returns u (n,), the forces l of the rows and an orthonormal basis (n, q) of what floats. What floats all the same
-    is shifted as little as it takes to close the contacts that push.
+    Returns u (n,), the forces l of the rows and an orthonormal basis (n, q) of the remaining rigid motions. Along these
+    u is shifted by the least motion that closes the contacts with force.
     """
     system = ContactProblem(
         stiffness=problem.stiffness,
@@ -420,11 +417,11 @@ def _held(
 def _shift_within_law(
     problem: ContactProblem, answer: Answer, displacement: Vector, free: Array, pushing: Indices
 ) -> Vector | None:
-    """Return the least motion along `free` (n, q) after which Coulomb's law allows the friction that was given.
+    """Return the least motion along `free` (n, q) with which the given friction satisfies Coulomb's law.
 
-    Pushing contacts are closed, E_N u = g; those whose friction is below its bound stay at their slip origin; the slip
-    of the others is along their friction, s x l_T = 0 and s'l_T >= 0; no contact is penetrated. It is the least one in
-    the scale of the energy. None where nothing floats or there is no friction.
+    Contacts with force are closed, E_N u = g; those whose friction is below its bound stay at their slip origin; the
+    slip of the others is along their friction, s x l_T = 0 and s'l_T >= 0; no contact is penetrated. The norm is scaled
+    by energy. None if nothing floats or there is no friction.
     """
     slip, friction = slips(problem, displacement), answer.friction_force
     if not free.shape[1] or problem.friction is None or problem.tangent is None:

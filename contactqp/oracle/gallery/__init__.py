@@ -1,1 +1,1 @@
-"""Problems whose answers are known exactly, by construction."""
+"""Provide problems with answers known exactly by construction."""

@@ -1,4 +1,4 @@
-"""Gallery problems with closed forms that are found by hand: statics, Coulomb's law, beams, floating bodies."""
+"""Gallery problems with closed-form answers: statics, Coulomb's law, beams, floating bodies."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def klarbring_opens() -> Contents:
 
 
 def _pad(pull: int, extension: Fraction, drag: Fraction, description: str) -> Contents:
-    """Return a plane with the normal (-3, 4) / 5, rows five times as long: forces of the rows are a fifth of those
+    """Return a plane with the normal (-3, 4) / 5 and rows five times as long, so that multipliers are a fifth of forces
     in N.
     """
     return stated(
@@ -100,7 +100,7 @@ def _pad(pull: int, extension: Fraction, drag: Fraction, description: str) -> Co
         units=("m", "N"),
         unknowns=["pad.x", "pad.z"],
         contacts=["incline"],
-        # Nothing couples the pull with the press: N = 12000 N whatever the pad does, K on the plane is definite.
+        # Normal and tangential motion are uncoupled: N = 12000 N for any slip, and K on the plane is definite.
         one_displacement=True,
     )
 
@@ -160,7 +160,7 @@ def stacked_blocks() -> Contents:
         low, high = 2 * block, 2 * block + 1
         K[low][low] = K[high][high] = k
         K[low][high] = K[high][low] = -k
-    # Each block is shortened by what it carries: half of its weight and all that is above.
+    # Each block is shortened by half of its weight and the whole load above it.
     u, height = [], Fraction(0)
     for block in range(3):
         carried = Fraction(weights[block], 2) + sum(weights[block + 1 :])

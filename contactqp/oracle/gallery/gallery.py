@@ -1,19 +1,19 @@
-"""The gallery: problems with exact answers by name, by kind, by difficulty and by seed.
+"""Return problems with exact answers by name, kind, difficulty and seed, and write them to folders.
 
 `redundant-17` is the problem of the kind "redundant" with the seed 17, on every platform and in every version; its
-difficulty goes with the seed: 0, 3, 6, ... are easy, 1, 4, 7, ... moderate, 2, 5, 8, ... hard.
+difficulty depends on the seed: 0, 3, 6, ... are easy, 1, 4, 7, ... moderate, 2, 5, 8, ... hard.
 
-`write_gallery` writes problems with their answers to a folder, `write_qpbenchmark` as a test set of qpbenchmark in the
-form that its CONTRIBUTING.md asks for, exact answers beside:
+`write_gallery` writes problems with their answers to a folder; `write_qpbenchmark` writes a test set in the form
+required by qpbenchmark's CONTRIBUTING.md, together with exact answers:
 
     contact_problems.py    the class ContactProblems: `qpbenchmark contact_problems.py run`
     data/NAME.npz          one problem, as `qpsolvers.Problem.save` writes it
     answers/NAME.json      its exact answer in qpsolvers' names and signs: x, y, z, and the cost
-    results/               where qpbenchmark writes its report
-    README.md              what the problems are
+    results/ the folder of qpbenchmark's report
+    README.md a description of the problems
 
-With G = E_N, h = g, A, b of the ties, z is l_N and y is nu; no sign is flipped. Coulomb's friction is no quadratic
-program: problems with friction are left out.
+With G = E_N, h = g, A, b of the ties, z is l_N and y is nu, with the same signs. Problems with Coulomb friction are no
+quadratic programs and are left out.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def problem(name: str) -> GalleryProblem:
     Raises
     ------
     InvalidProblem
-        No problem has that name; the message gives the nearest one.
+        No problem has that name; the message suggests the nearest one.
     """
     if name in NAMED:
         return GalleryProblem(name, "named", "easy", NAMED[name])
@@ -127,9 +127,9 @@ def chosen_problems(
     count: int | None = None,
     seed: int = 0,
 ) -> list[GalleryProblem]:
-    """Return the problems of the names, where there are some, else `problems` of the rest.
+    """Return the problems of the names if any are given, else `problems` for the other arguments.
 
-    Raises InvalidProblem: names and a choice among kinds are given, or either knows no such problem.
+    Raises InvalidProblem: names and other arguments are both given, or a problem does not exist.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def chosen_problems(
 
 
 def refuse_unknown(what: str, value: object, allowed: tuple[str, ...]) -> None:
-    """Raise unless a word is None or known."""
+    """Raise InvalidProblem unless a word is None or among the allowed ones."""
     if value is not None and value not in allowed:
         near = get_close_matches(str(value), allowed, 1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
@@ -170,14 +170,14 @@ FORMAT, VERSION, INDEX = "contactqp gallery", 1, "index.json"
 # and, under "exact", as fractions
 
 PARTS = ("displacement", "normal_force", "friction_force", "tie_force", "gap")
-# What the problem.json of a problem says beside its data.
+# Entries of problem.json in addition to the data.
 ABOUT = ("name", "kind", "difficulty", "unique_displacement", "unique_forces", "description", "formula", "source")
 
 
 def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Path:
-    """Write problems and their exact answers to a folder that is new or empty: all of them, or nothing.
+    """Write problems and their exact answers to a new or empty folder, all or none.
 
-    Raises InvalidProblem: something is in the folder, it is none, nothing is to be written, or the file system refuses.
+    Raises InvalidProblem: the folder is not empty or not a folder, there are no problems, or writing fails.
 
     Returns
     -------
@@ -202,13 +202,13 @@ def write_gallery(folder: str | Path, problems: Sequence[GalleryProblem]) -> Pat
 
 
 def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
-    """Return a folder that is new or was empty, filled by `fill` or left as it was; `last` is its last part.
+    """Fill a new or empty folder by `fill`, or leave it unchanged on failure; `last` is written last.
 
-    Raises InvalidProblem: something is in the folder, it is none, or the file system refuses.
+    Raises InvalidProblem: the folder is not empty or not a folder, or writing fails.
     """
     root = Path(folder)
     _refuse_taken(root)
-    # An empty folder is filled and not replaced: it may be a link, a mount, or where the user stands.
+    # An empty folder is filled and not replaced, as it may be a link, a mount, or the working directory.
     there = root.is_dir()
     beside = root / f".{os.getpid()}" if there else root.absolute().with_name(f".{root.absolute().name}.{os.getpid()}")
     try:
@@ -228,7 +228,7 @@ def filled(folder: str | Path, fill: Callable[[Path], None], last: str) -> Path:
 
 
 def summary(exact: GalleryProblem) -> dict[str, Any]:
-    """Return what a list of problems says of one."""
+    """Return the entry of a problem in a list of problems."""
     data = exact.data
     return {
         "name": exact.name,
@@ -253,7 +253,7 @@ def _write_one(folder: Path, posed: GalleryProblem) -> None:
     about = {key: value for key, value in summary(posed).items() if key in ABOUT}
     rounded = posed.data.rounded()
     if rounded:
-        # The answer belongs to these fractions; files hold the nearest doubles.
+        # The answer belongs to these fractions; files contain the nearest doubles.
         about["exact_data"] = {name: [str(x) for x in getattr(posed.data, name)] for name in rounded}
         about["rounding"] = float(posed.rounding)
     write_problem(folder, posed.problem, answer | {"contact_status": posed.exact.contact_status, "exact": exact}, about)
@@ -322,9 +322,9 @@ is not zero, the answer is that of fractions to which the doubles are the neares
 
 
 def write_qpbenchmark(folder: str | Path, problems: Sequence[GalleryProblem]) -> tuple[Path, int]:
-    """Write the problems without friction as a test set of qpbenchmark to a folder that is new or empty.
+    """Write the problems without friction as a test set of qpbenchmark to a new or empty folder.
 
-    Raises InvalidProblem: something is in the folder, no problem is without friction, or the file system refuses.
+    Raises InvalidProblem: the folder is not empty, all problems have friction, or writing fails.
 
     Returns
     -------
@@ -359,9 +359,7 @@ def _row(exact: GalleryProblem) -> str:
 
 
 def _arrays(exact: GalleryProblem) -> dict[str, Any]:
-    """Return P, q, G, h, A, b, lb and ub; absent ones are None in object arrays, as `qpsolvers.Problem.save` writes
-    them.
-    """
+    """Return P, q, G, h, A, b, lb and ub; missing ones are None in object arrays, as in `qpsolvers.Problem.save`."""
     program = exact.problem.to_qp()
     parts = {name: getattr(program, name) for name in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
     return {name: np.array(part.toarray() if hasattr(part, "toarray") else part) for name, part in parts.items()}

@@ -1,4 +1,6 @@
-"""A problem whose exact answer is known, in rational numbers (matrices as sparse rows of Fractions) and in doubles."""
+"""Define problems with known exact answers, in rational numbers (matrices as sparse rows of Fractions) and in
+doubles.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ Numbers = tuple[Fraction, ...]
 Given = int | str | Fraction
 
 ZERO = Fraction(0)
-# Up to this size a stiffness is a dense array.
+# The largest size of stiffnesses stored as dense arrays.
 DENSE = 128
 
 
@@ -38,7 +40,7 @@ def rows_of(values: Iterable[Sequence[Given]]) -> Rows:
 
 
 def clean(rows: Iterable[Mapping[int, Given]]) -> Rows:
-    """Return the rows without their zeros, columns in order."""
+    """Return the rows without zeros, with sorted columns."""
     return tuple({j: Fraction(row[j]) for j in sorted(row) if row[j]} for row in rows)
 
 
@@ -58,12 +60,12 @@ def transposed_times(rows: Rows, vector: Sequence[Fraction], size: int) -> Numbe
 
 
 def plus(*vectors: Sequence[Fraction]) -> Numbers:
-    """Return the sum of vectors of one length."""
+    """Return the sum of vectors of equal length."""
     return tuple(sum(parts, ZERO) for parts in zip(*vectors, strict=True))
 
 
 def columns_are_independent(rows: Rows, size: int) -> bool:
-    """Return whether rows x = 0 has no solution (size,) but zero."""
+    """Return whether rows x = 0 has only the solution x = 0 (size,)."""
     return rank(transposed(rows, size)) == size
 
 
@@ -77,7 +79,7 @@ def transposed(rows: Rows, size: int) -> Rows:
 
 
 def dominance(stiffness: Rows) -> Fraction:
-    """Return min_i (K_ii - sum |K_ij|) of a symmetric K: where positive, no eigenvalue is smaller (Gershgorin 1931)."""
+    """Return min_i (K_ii - sum |K_ij|) of a symmetric K, a lower bound of its eigenvalues (Gershgorin 1931)."""
     return min(
         2 * row.get(i, ZERO) - sum((abs(x) for x in row.values()), ZERO)
         if row.get(i, ZERO) > 0
@@ -87,13 +89,13 @@ def dominance(stiffness: Rows) -> Fraction:
 
 
 def largest_row_sum(stiffness: Rows) -> Fraction:
-    """Return max_i sum |K_ij|: no eigenvalue of a symmetric K is larger."""
+    """Return max_i sum |K_ij|, an upper bound of the eigenvalues of a symmetric K."""
     return max(sum((abs(x) for x in row.values()), ZERO) for row in stiffness)
 
 
 @dataclass(frozen=True)
 class ExactProblem:
-    """The data of a contact problem as rational numbers, under the names of `ContactProblem`."""
+    """The data of a contact problem as rational numbers, with the names of `ContactProblem`."""
 
     stiffness: Rows
     load: Numbers
@@ -117,11 +119,11 @@ class ExactProblem:
 
     @property
     def directions(self) -> int:
-        """Return how many directions of slip a contact has: 0, 1 or 2."""
+        """Return the number of slip directions of a contact: 0, 1 or 2."""
         return len(self.tangent) // len(self.normal) if self.normal else 0
 
     def floats(self) -> dict[str, Any]:
-        """Return the arguments of `ContactProblem`, every number rounded to the nearest double."""
+        """Return the arguments of `ContactProblem`, rounded to the nearest doubles."""
         n = self.unknowns
         stiffness = _matrix(self.stiffness, n)
         data: dict[str, Any] = dict(
@@ -141,7 +143,7 @@ class ExactProblem:
         return data
 
     def rounded(self) -> tuple[str, ...]:
-        """Return the names of the data that are not all doubles: their floats are the nearest ones."""
+        """Return the names of the data that are rounded to doubles."""
         found = []
         for each in fields(self):
             value: Any = getattr(self, each.name)
@@ -165,23 +167,21 @@ class ExactAnswer(AnswerOf[Numbers, tuple[Numbers, ...]]):
 
 @dataclass(frozen=True)
 class Contents:
-    """What a gallery problem is, once it is made."""
+    """The contents of a gallery problem."""
 
     data: ExactProblem
     exact: ExactAnswer
     description: str
     source: str
-    formula: str  # how the answer comes about
+    formula: str  # the derivation of the answer
     unique_displacement: bool  # proven to be the only one
-    unique_forces: bool  # proven to be the only ones
-    rounding: (
-        Fraction  # largest relative change of the answer where the data were rounded to doubles; 0: they are doubles
-    )
+    unique_forces: bool  # whether the forces are proven to be unique
+    rounding: Fraction  # largest relative change of the answer by rounding the data to doubles, 0 if none are rounded
     names: Mapping[str, Any]  # dof_names, contact_names, units
 
 
 class GalleryProblem:
-    """A contact problem with its exact answer, made when first asked for.
+    """A contact problem with its exact answer, generated at the first use.
 
     Parameters
     ----------
@@ -194,16 +194,16 @@ class GalleryProblem:
     problem : ContactProblem
     displacement, normal_force, friction_force, tie_force, gap
         The exact answer rounded to doubles, in the signs of `ContactProblem`: (n,), (m,) positive in compression,
-        (m, d-1) or None without friction, (k,), (m,) positive when open. With `unique_forces` false the forces are
-        one right answer among others.
+        (m, d-1) or None without friction, (k,), (m,) positive when open. If `unique_forces` is false, the forces are
+        one of several right answers.
     exact : ExactAnswer
         The same as Fractions, with slip and contact status.
     data : ExactProblem
         The problem as Fractions.
     unique_displacement, unique_forces : bool
-        Whether the answer is proven to be the only one.
+        Whether the answer is proven to be unique.
     rounding : Fraction
-        0 where all data are doubles; otherwise the largest relative change of the answer by rounding them.
+        The largest relative change of the answer by rounding the data to doubles, 0 if none are rounded.
     description, formula, source : str
     """
 
@@ -212,7 +212,7 @@ class GalleryProblem:
 
     @property
     def __name__(self) -> str:
-        """pytest names the parameters of a test by this."""
+        """Return the name, used by pytest for parameters of a test."""
         return self.name
 
     def __str__(self) -> str:
@@ -320,14 +320,14 @@ def _matrix(rows: Rows, n: int) -> Any:
     return sp.csr_matrix((np.array(values, dtype=float), (i, j)), shape=(len(rows), n))
 
 
-# Whether the exact answer of a problem is the only one, by exact ranks: "no" here means "not proven".
+# Uniqueness of exact answers by exact ranks; "no" means "not proven".
 
 
 def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
-    """Return whether the displacement is proven to be the only one.
+    """Return whether the displacement is proven to be unique.
 
-    Without friction the answers form a convex set on which K u, the ties and the gaps of contacts that carry force
-    are the same: one point where K, A and these rows of E_N have no common null vector. With friction see
+    Without friction the answers form a convex set on which K u, the ties and the gaps of contacts with force are
+    constant: a single point if K, A and these rows of E_N have no common null vector. With friction see
     `below_critical_friction`.
     """
     if any(data.friction) and not below_critical_friction(data):
@@ -339,11 +339,11 @@ def only_displacement(data: ExactProblem, answer: ExactAnswer) -> bool:
 
 
 def below_critical_friction(data: ExactProblem) -> bool:
-    """Return whether friction is small enough for one answer: mu < least / largest eigenvalue of K (Gershgorin).
+    """Return whether friction is small enough for a unique answer: mu < least / largest eigenvalue of K (Gershgorin).
 
-    Let the rows of all contacts, each contact's divided by its length, be orthonormal, x be what they see of the
-    difference of two answers, and H = (E K^-1 E')^-1. Signorini's and Coulomb's law give x'Hx <= mu |(Hx)_N| |x_T|
-    <= mu |H| |x|^2, while x'Hx >= |x|^2 times the least eigenvalue of H; those of H lie between those of K.
+    Let the rows E of all contacts, divided by their lengths, be orthonormal, x = E (u - v) for two answers u and v, and
+    H = (E K^-1 E')^-1. Signorini's and Coulomb's law give x'Hx <= mu |(Hx)_N| |x_T| <= mu |H| |x|^2, while x'Hx >=
+    |x|^2 times the least eigenvalue of H, and the eigenvalues of H lie between those of K.
     """
     if not _orthogonal_frames(data) or data.tie:
         return False
@@ -352,7 +352,7 @@ def below_critical_friction(data: ExactProblem) -> bool:
 
 
 def _orthogonal_frames(data: ExactProblem) -> bool:
-    """Return whether all rows are orthogonal, those of one contact of one length."""
+    """Return whether all rows are orthogonal, with equal lengths for each contact."""
     width = data.directions
     rows = [row for i, normal in enumerate(data.normal) for row in (normal, *data.tangent[i * width : (i + 1) * width])]
     lengths = [sum((x * x for x in row.values()), ZERO) for row in rows]
@@ -364,11 +364,11 @@ def _orthogonal_frames(data: ExactProblem) -> bool:
 
 
 def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique: bool) -> bool:
-    """Return whether the forces are proven to be the only ones.
+    """Return whether the forces are proven to be unique.
 
-    The forces of a displacement are unique where the rows of closed contacts, their directions of slip where they have
-    friction, and the ties are independent. Where only contacts that carry nothing make them dependent, without
-    friction, they may still be: no other forces are compressive (a linear program in rational numbers).
+    The forces of a displacement are unique if the rows of closed contacts, their slip directions with friction, and the
+    ties are independent. Without friction, if only contacts without force make them dependent, they are unique if no
+    other forces are compressive (a linear program in rational numbers).
     """
     width = data.directions
     if any(data.friction) and not displacement_is_unique:
@@ -387,7 +387,9 @@ def only_forces(data: ExactProblem, answer: ExactAnswer, displacement_is_unique:
 
 
 def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
-    """Return whether some combination of the rows is zero with nothing negative for the first `weak` ones."""
+    """Return whether a nonzero combination of the rows vanishes, with nonnegative coefficients of the first `weak`
+    ones.
+    """
     found = solutions([[row.get(j, ZERO) for j in range(len(rows))] + [ZERO] for row in transposed(rows, n)], len(rows))
     free = found.free if found is not None else []
     slopes = [[direction[i] for direction in free] for i in range(weak)]
@@ -395,7 +397,7 @@ def _other_compressions(rows: Rows, weak: int, n: int) -> bool:
     return Polyhedron([ZERO] * weak, slopes, len(free)).range(growth)[1] is None
 
 
-# Stating a gallery problem of few unknowns as dense rows of integers, fractions and strings.
+# Gallery problems of few unknowns from dense rows of integers, fractions and strings.
 
 Dense = Sequence[Sequence[Given]]
 
@@ -423,10 +425,10 @@ def stated(
     one_displacement: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
-    """Return a problem and its answer; `units` are those of length and force, one coefficient of friction holds for
-    all.
+    """Return a problem and its answer; `units` are those of length and force, and a single coefficient of friction
+    applies to all contacts.
 
-    `one_displacement` is given where a proof of uniqueness is known that `only_displacement` does not find.
+    `one_displacement` states a proof of uniqueness that `only_displacement` does not find.
 
     Parameters
     ----------
@@ -475,7 +477,7 @@ def with_uniqueness(
     one_displacement: bool | None = None,
     rounding: Fraction = Fraction(0),
 ) -> Contents:
-    """Return contents with what exact ranks prove about the uniqueness of the answer, where nothing else is known.
+    """Return contents with uniqueness of the answer, if not stated, by exact ranks.
 
     Parameters
     ----------

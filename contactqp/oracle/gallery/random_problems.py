@@ -1,4 +1,4 @@
-"""Random gallery problems, with friction and without: an answer is chosen, then the load and gaps it belongs to.
+"""Generate random gallery problems with and without friction: an answer is chosen, then its load and gaps.
 
 With integers for K, E, A and small dyadic fractions for u*, l* and the gaps, f = K u* + E'l* + A'nu* and
 g = E u* + gap* are doubles, and (u*, l*, nu*) satisfies all conditions exactly.
@@ -31,35 +31,35 @@ from contactqp.oracle.gallery.problem import (
 
 T = TypeVar("T")
 Node = tuple[int, int]
-# The neighbours of a node of a lattice that stand after it.
+# The offsets of the later neighbours of a lattice node.
 AFTER = ((1, 0), (0, 1), (1, 1), (-1, 1))
 
 
 class Draw:
-    """Random integers that depend on a name alone, the same on every platform and in every version of Python.
+    """Random integers that depend only on a name, the same on every platform and in every version of Python.
 
-    Of Python's generator only `random()` is promised to stay as it is.
+    Python guarantees this only for `random()`.
     """
 
     def __init__(self, name: str) -> None:
         self._random = random.Random(name).random
 
     def integer(self, low: int, high: int) -> int:
-        """Return a random integer from low to high, both included."""
+        """Return a random integer from low to high, inclusive."""
         return low + int(self._random() * (high - low + 1))
 
     def among(self, values: Sequence[T]) -> T:
         return values[self.integer(0, len(values) - 1)]
 
     def some(self, values: Sequence[T], count: int) -> list[T]:
-        """Return `count` different items at random, in the order in which they stand."""
+        """Return `count` different random items in their order."""
         left = list(range(len(values)))
         taken = [left.pop(self.integer(0, len(left) - 1)) for _ in range(min(count, len(left)))]
         return [values[i] for i in sorted(taken)]
 
 
 class Springs:
-    """A stiffness (n, n) that grows spring by spring: K += k t't for a row t of integers."""
+    """A stiffness (n, n) assembled from springs: K += k t't for a row t of integers."""
 
     def __init__(self, unknowns: int) -> None:
         self._rows: list[dict[int, Fraction]] = [{} for _ in range(unknowns)]
@@ -74,7 +74,7 @@ class Springs:
 
 
 def lattice(springs: Springs, columns: int, rows: int, stiffness: Callable[[], int | Fraction], first: int = 0) -> None:
-    """Add springs between neighbours of a plane grid, also along diagonals, so that only rigid motions strain none.
+    """Add springs between neighbours of a plane grid, also along diagonals, so that only rigid motions have no strain.
 
     Node (i, j) has the unknowns 2 a and 2 a + 1, x and z, a = first + j columns + i.
 
@@ -96,10 +96,10 @@ def lattice(springs: Springs, columns: int, rows: int, stiffness: Callable[[], i
 
 # Random gallery problems with Coulomb friction, in the plane and in space, stuck, sliding and open.
 #
-# Each contact has a frame of orthogonal rows of integers of one length, and nodes move along their own frame, so that
-# slips, sizes of slips and forces are rational. Friction is below a bound that proves the answer to be the only one.
+# Each contact has a frame of orthogonal rows of integers of equal length, along which its node moves, so that slips,
+# their sizes and forces are rational. Friction is below a bound that proves uniqueness of the answer.
 
-# Nodes that touch something, and nodes that do not.
+# Numbers of nodes with and without contact.
 FRICTIONAL_SIZES = {"easy": (1, 1), "moderate": (5, 4), "hard": (20, 16)}
 Frame = tuple[tuple[int, ...], ...]  # normal and tangents
 
@@ -113,13 +113,13 @@ SPACE: tuple[Frame, ...] = (
 DIRECTIONS: dict[int, tuple[tuple[int, ...], ...]] = {
     2: ((1,), (-1,)),
     3: ((3, 4), (-4, 3), (-3, -4), (4, -3), (5, 0), (0, -5)),
-}  # all of one length, 1 in the plane and 5 in space
+}  # all of equal length, 1 in the plane and 5 in space
 FRICTIONAL_CONSTRUCTION = "f = K u* + E_N'l_N + E_T'l_T, g = E_N u* + gap*, l_T = mu l_N s/|s| where it slides"
 
 
 @dataclass(frozen=True)
 class _Touch:
-    """What is chosen of one contact."""
+    """The chosen answer of one contact."""
 
     frame: Frame
     state: str
@@ -130,21 +130,21 @@ class _Touch:
     gap: Fraction
 
     def motion(self, axis: int) -> Fraction:
-        """Return the node's displacement along an axis: none of it along the tangents where it sticks."""
+        """Return the node's displacement along an axis, without tangential part if it sticks."""
         return self.approach * self.frame[0][axis] + sum(
             (s * row[axis] for s, row in zip(self.slip, self.frame[1:], strict=True)), Fraction(0)
         )
 
 
 def frictional(draw: Draw, difficulty: str) -> Contents:
-    """Return a network of springs whose nodes stick to, slide on or hang over rough obstacles."""
+    """Return a network of springs whose nodes stick to, slide on or are above rough obstacles."""
     dimension = draw.integer(2, 3)
     touching, others = FRICTIONAL_SIZES[difficulty]
     n = dimension * (touching + others)
     stiffness = _network(draw, n)
-    # The largest sixteenth beneath the bound of `below_critical_friction`.
+    # The largest multiple of 1/16 below the bound of `below_critical_friction`.
     friction = Fraction(ceil(16 * dominance(stiffness) / largest_row_sum(stiffness)) - 1, 16)
-    # Of three neighbours one slides, one sticks and one is open; a single one touches.
+    # Of three neighbours one slides, one sticks and one is open; a single contact touches.
     states = ["slip", "stick", "open"] if touching > 1 else [draw.among(("slip", "stick"))]
     touches = [
         _touch(draw, dimension, states[i % len(states)], friction, difficulty != "easy") for i in range(touching)
@@ -190,7 +190,7 @@ def _touch(draw: Draw, dimension: int, state: str, friction: Fraction, turned: b
 
 
 def _network(draw: Draw, n: int) -> tuple[Row, ...]:
-    """Return a stiffness that couples every unknown with a few others, its diagonal well above its row sums."""
+    """Return a diagonally dominant stiffness that couples every unknown with a few others."""
     springs = Springs(n)
     sums = [0] * n
     for i in range(n):
@@ -204,16 +204,16 @@ def _network(draw: Draw, n: int) -> tuple[Row, ...]:
     return springs.rows()
 
 
-# Columns and rows of the lattice; the nodes of its lowest row are the contacts.
+# Columns and rows of the lattice, whose lowest row has the contacts.
 SIZES = {"easy": (2, 2), "moderate": (5, 3), "hard": (12, 4)}
 LARGE = {"easy": 12, "moderate": 20, "hard": 30}  # nodes along a side of the membrane
 CONTRAST = {"easy": 20, "moderate": 30, "hard": 40}  # powers of two
-FLOORS = ((0, -1), (3, -4), (-3, -4), (1, -2))  # what the obstacle's rows may be: rows need not be of length one
+FLOORS = ((0, -1), (3, -4), (-3, -4), (1, -2))  # possible rows of the obstacle, not of unit length
 BY_CONSTRUCTION = "f = K u* + E'l* + A'nu*, g = E u* + gap* for a chosen answer"
 
 
 def well_posed(draw: Draw, difficulty: str) -> Contents:
-    """Return a lattice held from above over a floor that some of its nodes touch."""
+    """Return a lattice supported from above, some of whose nodes touch a floor."""
     columns, _ = SIZES[difficulty]
     states = _states(draw, columns, closed=(columns + 1) // 2)
     text = "A lattice of springs, held at its upper nodes, over a floor; the closed rows are independent."
@@ -221,7 +221,7 @@ def well_posed(draw: Draw, difficulty: str) -> Contents:
 
 
 def degenerate(draw: Draw, difficulty: str) -> Contents:
-    """Return the same with contacts that graze."""
+    """Return the same with grazing contacts."""
     columns, _ = SIZES[difficulty]
     grazing = max(1, columns // 3)
     states = _states(draw, columns, closed=(columns - grazing + 1) // 2, grazing=grazing)
@@ -230,18 +230,18 @@ def degenerate(draw: Draw, difficulty: str) -> Contents:
 
 
 def redundant(draw: Draw, difficulty: str) -> Contents:
-    """Return the same with contacts that say again what others say."""
+    """Return the same with redundant contacts."""
     columns, _ = SIZES[difficulty]
     states = _states(draw, columns, closed=max(1, columns // 2))
     text = "A lattice of springs over a floor; closed rows are repeated, scaled and added up: forces are not unique."
-    # Of easy problems more rows are closed than there are unknowns.
+    # In easy problems there are more closed rows than unknowns.
     return _on_floor(draw, difficulty, states, text, repeats=10 - columns if difficulty == "easy" else columns)
 
 
 def stiff(draw: Draw, difficulty: str) -> Contents:
-    """Return the same with springs some of which are very stiff.
+    """Return the same with some very stiff springs.
 
-    Doubles hold the answer to about 1e-9; plain elimination in doubles loses more the stiffer they are.
+    In doubles the answer has an error of about 1e-9; plain elimination has a larger one, growing with the stiffness.
     """
     columns, _ = SIZES[difficulty]
     power = CONTRAST[difficulty]
@@ -265,7 +265,7 @@ def tied(draw: Draw, difficulty: str) -> Contents:
 
 
 def floating(draw: Draw, difficulty: str) -> Contents:
-    """Return two lattices that nothing holds but a floor, a wall and each other."""
+    """Return two lattices held only by a floor, a wall and each other."""
     columns, rows = {"easy": (2, 1), "moderate": (3, 2), "hard": (6, 3)}[difficulty]
     each = columns * rows
     springs = Springs(4 * each)
@@ -275,7 +275,7 @@ def floating(draw: Draw, difficulty: str) -> Contents:
     normal = [{2 * (bottom + i) + 1: -1} for i in range(columns)]
     normal += [{2 * (top + i) + 1: 1, 2 * (upper + i) + 1: -1} for i in range(columns)]
     walls = [{2 * bottom: -1}, {2 * upper: -1}]
-    # The ends of each joint and both walls push: three conditions a body.
+    # The ends of each joint and both walls have forces: three conditions per body.
     states = _ends_closed(draw, columns) + _ends_closed(draw, columns) + ["closed"] * 2
     u = _displacement(draw, 4 * each)
     text = "Two bodies, one on the other, lean against a wall on a floor; no spring holds them and K is singular."
@@ -283,7 +283,7 @@ def floating(draw: Draw, difficulty: str) -> Contents:
 
 
 def large(draw: Draw, difficulty: str) -> Contents:
-    """Return a membrane on soft springs over an obstacle, every node a contact."""
+    """Return a membrane on soft springs over an obstacle, with a contact at every node."""
     side = LARGE[difficulty]
     springs = Springs(side * side)
     for j in range(side):
@@ -346,7 +346,7 @@ def _with_answer(
     text: str,
     ties: Rows = (),
 ) -> Contents:
-    """Return forces and gaps for the states; on hard problems some are a few millionths of the others."""
+    """Return contents with forces and gaps for the states; in hard problems some are a few millionths of the others."""
     n = len(stiffness)
     force, gap = [], []
     for state in states:
@@ -362,7 +362,7 @@ def _with_answer(
 
 
 def _states(draw: Draw, contacts: int, closed: int, grazing: int = 0) -> list[str]:
-    """Return the states of contacts, of which so many at random places are closed and so many graze."""
+    """Return the states of contacts with given numbers of closed and grazing ones at random positions."""
     touching = draw.some(range(contacts), closed + grazing)
     graze = draw.some(touching, grazing)
     return ["grazing" if i in graze else "closed" if i in touching else "open" for i in range(contacts)]
@@ -378,10 +378,10 @@ def _displacement(draw: Draw, n: int) -> Numbers:
 
 
 def _nearly_rigid(draw: Draw, columns: int, rows: int, contrast: int) -> Numbers:
-    """Return a small rigid motion and 2^-contrast of strain.
+    """Return a small rigid motion with a strain of 2^-contrast.
 
-    The motion, rounded to doubles, strains a stiff spring by 2^contrast eps times its size: that is kept beneath 2^-28,
-    so that doubles near the answer are nearly an answer.
+    The motion, rounded to doubles, strains a stiff spring by 2^contrast eps times its size: this is kept below 2^-28,
+    so that the rounded answer is nearly an answer.
     """
     unit = Fraction(1, 2 ** (contrast - 19))
     right, up, turn = (draw.integer(-64, 64) * unit, draw.integer(-64, 64) * unit, draw.integer(1, 8) * unit)

@@ -1,7 +1,7 @@
 """Gallery problems from a course chapter on contact mechanics in 1D elastostatics, in units that make its data doubles.
 
-Its examples are printed in kN and m. Of forces in kN and lengths in mm, stiffnesses are kN/mm; of mN and mm they are
-mN/mm, the same numbers as N/m.
+Its examples are printed in kN and m. With kN and mm, stiffnesses are in kN/mm; with mN and mm in mN/mm, the same
+numbers as in N/m.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def truss_over_floor() -> Contents:
 
 
 def _slipping_truss(mu: Fraction) -> tuple[Fraction, Fraction]:
-    """Return u_x and l_N where the node slides to +x on a floor that pushes with l_N and resists with mu l_N."""
+    """Return u_x and l_N if the node slides to +x on a floor with normal force l_N and friction mu l_N."""
     (k11, k12), (_, k22) = TRUSS
     u = (TRUSS_LOAD[0] + k12 - mu * (-TRUSS_LOAD[1] - k22)) / Fraction(k11 + mu * k12)
     return u, -TRUSS_LOAD[1] + k12 * u - k22
@@ -156,7 +156,7 @@ def two_masses_on_rough_floor() -> Contents:
         units=("mm", "mN"),
         unknowns=["1.x", "2.x", "1.z", "2.z"],
         contacts=["mass 1", "mass 2"],
-        # The floor carries the weights whatever the masses do sideways: a convex minimisation, K on x is definite.
+        # Normal forces equal the weights for any sideways motion: a convex minimisation, with definite K along x.
         one_displacement=True,
     )
 

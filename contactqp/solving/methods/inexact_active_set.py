@@ -2,8 +2,8 @@
 
 On the contacts A that are closed, with all ties, conjugate gradients approach K u = f - E_A'l_A, E_A u = g_A; forces
 come from the residual r = f - K u, l_A = (E_A D^-1 E_A')^-1 E_A D^-1 r. After each step the current forces l and gaps
-determine the next set (Hintermueller, Ito and Kunisch 2003), the contacts with
-l_i + (E u - g)_i / (E_i D^-1 E_i') > 0. The violations of the current set have the energy
+determine the next set (Hintermueller, Ito and Kunisch 2003), the contacts with l_i + (E u - g)_i / (E_i D^-1 E_i') > 0.
+The violations of the current set have the energy
 
     delta^2 = sum of (E_i D^-1 E_i') l_i^2 over tensions + sum of (E u - g)_i^2 / (E_i D^-1 E_i') over penetrations,
 
