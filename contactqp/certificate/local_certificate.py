@@ -26,7 +26,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,8 +53,6 @@ ASYMMETRIC_BY_ROUNDING = 1e-9
 # Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.
 SURELY_INDEPENDENT = 1e-6
 
-_critical: WeakKeyDictionary[LocalProblem, CriticalFriction] = WeakKeyDictionary()
-
 
 def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Uniqueness:
     """Return findings on uniqueness of the forces; `along` (m, d) are the force directions of slipping contacts."""
@@ -82,13 +79,14 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
 
 
 def _critical_friction(problem: LocalProblem) -> CriticalFriction:
-    if problem not in _critical:
+    if (computed := problem._of_matrices).critical is None:
         W = problem.scaled_delassus.toarray()
         symmetric = problem.scaled_asymmetry <= ASYMMETRIC_BY_ROUNDING
-        _critical[problem] = of_operator(
+        computed.critical = of_operator(
             W, problem.friction, problem.contacts, floats=problem.joints > 0, symmetric=symmetric
         )
-    return _critical[problem]
+    found: CriticalFriction = computed.critical
+    return found
 
 
 def _reason(problem: LocalProblem, critical: CriticalFriction) -> str:
@@ -379,7 +377,9 @@ def _natural_map(problem: LocalProblem, force: Array, velocity: Array, met: Arra
 
 def _meeting(problem: LocalProblem, force: Array, joint_force: Vector) -> Vector:
     """Return the velocities that meet, |W||r| + |V||l| + |q| (d m,)."""
-    pushed = problem.delassus_sizes @ abs(force).ravel()
+    if (computed := problem._of_matrices).sizes is None:
+        computed.sizes = abs(problem.delassus)
+    pushed = computed.sizes @ abs(force).ravel()
     if problem.joints:
         pushed = pushed + abs(problem.bilateral) @ abs(joint_force)
     return np.asarray(pushed + abs(problem.offset))

@@ -29,7 +29,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -232,17 +231,14 @@ def _lengths(rows: Array) -> Array:
     return np.where(length > 0, length, 1.0)
 
 
-_in_extended_precision: WeakKeyDictionary[LocalProblem, SparseRows] = WeakKeyDictionary()
-
-
 def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
     """Return u = W r + q + V l (m, d) of a problem in local form at forces (m, d) and (p,), in twice double precision.
 
     Self-equilibrated forces of redundant contacts may be so large that q is lost in doubles.
     """
-    if problem not in _in_extended_precision:
-        _in_extended_precision[problem] = SparseRows(problem.delassus)
-    u = _in_extended_precision[problem] @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
+    if (computed := problem._of_matrices).extended is None:
+        computed.extended = SparseRows(problem.delassus)
+    u = computed.extended @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
     if joint_force is not None and problem.joints:
         u = u + SparseRows(problem.bilateral) @ extend(joint_force)
     return np.asarray(u.double().reshape(problem.contacts, problem.dimension))

@@ -85,3 +85,12 @@ class Computed:
     linearised: Any = None  # analysis.derivatives: the last answer with derivatives, and its systems
     contact_operator: Any = None  # solving.friction.contact_form
     held_against: Any = None  # oracle.foreign.judging: reference answers of the last problem
+
+
+@dataclass(eq=False)
+class OfLocalMatrices:
+    """What has been computed of a local problem's matrices, for all problems that differ in their offsets alone."""
+
+    sizes: Any = None  # certificate.local_certificate: |W|
+    critical: Any = None  # certificate.local_certificate: the coefficients beneath which forces are unique
+    extended: Any = None  # linalg.delassus: W for products in twice double precision

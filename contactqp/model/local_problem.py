@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactqp.errors import InvalidProblem, counted, counts, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Vector, computes, own_floating_point, refuses_misfits
+from contactqp.model.computed import OfLocalMatrices
 from contactqp.model.names import name_of, read_names
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import (
@@ -57,10 +58,7 @@ DEFINITENESS_CHECK_SIZE = 300
 LARGEST_SCALE = 1e150
 
 # Scales that depend on the matrices alone if every contact has a compliance.
-OF_MATRICES = (
-    *("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale"),
-    *("delassus_sizes", "own_compliances"),
-)
+OF_MATRICES = ("contact_scale", "scaled_delassus", "scaled_asymmetry", "joint_scale", "own_compliances", "_of_matrices")
 
 
 @computes
@@ -203,9 +201,8 @@ class LocalProblem(ReadOnly):
         return len(self.bilateral_offset)
 
     @cached_property
-    def delassus_sizes(self) -> Any:
-        """Return |W|."""
-        return read_only(abs(self.delassus))
+    def _of_matrices(self) -> OfLocalMatrices:
+        return OfLocalMatrices()
 
     @cached_property
     def own_compliances(self) -> Array:

@@ -124,6 +124,24 @@ def test_contacts_that_say_the_same_are_left_to_an_algorithm() -> None:
     np.testing.assert_allclose([normal.sum(), friction.sum()], [1 / 0.7, 0.6 / 0.7], rtol=1e-9)
 
 
+def test_steps_in_space_read_the_operator_of_their_contacts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Read and scaled anew, and its critical friction sought again, it took two fifths of a step.
+    block = dict(stiffness=1e3 * np.eye(3), load=[0.0, 0.0, -10.0], normal=[[0.0, 0.0, -1.0]], gap=[0.0])
+    sliding = cq.ContactProblem(**block, tangent=np.eye(2, 3), friction=0.3)
+    made: list[cq.LocalProblem] = []
+
+    def counted(**data: object) -> cq.LocalProblem:
+        made.append(cq.LocalProblem(**data))
+        return made[-1]
+
+    monkeypatch.setattr(step_contact, "LocalProblem", counted)
+    history = cq.impact(
+        sliding, mass=np.eye(3), displacement=[0.1, 0.0, 0.0], velocity=[1.0, 0.5, 0.0], duration=0.01, time_step=1e-3
+    )
+    assert (history.normal_forces[1:] > 0).all()
+    assert len(made) == 1
+
+
 def test_the_states_of_forces() -> None:
     found = states_of(
         np.array([0.0, 1, 1, 1, 1]), np.array([[0.0], [0.1], [0.5], [-0.5], [0.0]]), np.r_[0.5 * np.ones(4), 0]

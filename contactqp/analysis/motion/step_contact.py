@@ -96,6 +96,7 @@ class StepContact:
         self._E, self._A = condensation.normal, condensation.tie
         self._pushed = np.zeros(template.contacts, dtype=bool)
         self._states = np.full(template.contacts, OPEN, dtype=np.int8)
+        self._local: dict[bytes, LocalProblem] = {}  # in space, the last one, by the contacts that it is of
         self._frictional = template.frictional
         rows = self._E
         if template.frictional and condensation.tangent is not None:
@@ -308,7 +309,10 @@ class StepContact:
         rows = (looked[:, None] * (1 + width) + np.arange(1 + width)).ravel()
         coefficient = self.template.friction[looked]  # type: ignore[index]
         W, start = self._W[np.ix_(rows, rows)], self._states[looked]
-        pressed, dragged = frictional_forces(W, offset, coefficient, start, self._method, self._options)
+        if width > 1 and (key := looked.tobytes()) not in self._local:
+            self._local = {key: LocalProblem(delassus=W, offset=offset, friction=coefficient, dimension=1 + width)}
+        last = self._local[key] if width > 1 else None
+        pressed, dragged = frictional_forces(W, offset, coefficient, start, self._method, self._options, last)
         normal[looked] = np.maximum(pressed, 0.0)
         friction.reshape(m, width)[looked] = dragged
         self._states[:] = OPEN
@@ -330,17 +334,14 @@ def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[s
     method, options
         Of `solve`.
     """
-    if method == "active-set" and not options:
-        found = _by_active_set(W, c, start)
-        if found is not None:
-            return found
+    if method == "active-set" and not options and (found := _by_active_set(W, c, start)) is not None:
+        return found
     dual = ContactProblem(stiffness=W, load=-c, normal=-np.eye(len(c)), gap=np.zeros(len(c)))
     try:
         return np.maximum(solve(dual, method, **options).displacement, 0.0)
     except (NoEquilibrium, NotCertified, NotConverged) as error:
         # Contacts that squeeze a body between them: a rounding of c decides whether the forces are bounded.
-        found = _by_active_set(W + np.diag(SQUEEZED * W.diagonal()), c, start)
-        if found is not None:
+        if (found := _by_active_set(W + np.diag(SQUEEZED * W.diagonal()), c, start)) is not None:
             return found
         if isinstance(error, NoEquilibrium):
             raise NotConverged(f"the contacts of the step leave no room: {error}") from error
@@ -375,7 +376,7 @@ def _by_active_set(W: Array, c: Vector, start: Mask) -> Vector | None:
 
 
 def frictional_forces(
-    W: Array, c: Vector, friction: Vector, start: Status, method: str, options: dict[str, Any]
+    W: Array, c: Vector, friction: Vector, start: Status, method: str, options: dict[str, Any], like: Any = None
 ) -> tuple[Vector, Array]:
     """Return l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
 
@@ -386,14 +387,14 @@ def frictional_forces(
     start : (m,) array, the states of the step before
     method, options
         Of `solve`, for the local problem; any but the default is what solves it.
+    like : LocalProblem, optional, one with this W and friction, whose scales serve again
     """
-    m = len(friction)
-    d = len(c) // m
-    if d == 2 and method == "active-set" and not options:
-        found = _by_states(W, c, friction, start)
-        if found is not None:
-            return found[:, 0], -found[:, 1:]
-    local = LocalProblem(delassus=W, offset=c, friction=friction, dimension=d)
+    d = len(c) // len(friction)
+    if d == 2 and method == "active-set" and not options and (found := _by_states(W, c, friction, start)) is not None:
+        return found[:, 0], -found[:, 1:]
+    if like is None:
+        like = LocalProblem(delassus=W, offset=c, friction=friction, dimension=d)
+    local = like.with_offsets(c, np.zeros(0))
     force = _refined(W, c, friction, np.array(solve(local, method, **options).force))
     return force[:, 0], -force[:, 1:]
 
