@@ -468,7 +468,7 @@ def least_displacement(
     pushing = pushing_contacts(problem, clean)
     shift, free = shift_to_least_norm(problem, condensation, clean, pushing)
     far, largest = abs(shift).max(initial=0.0), abs(clean.displacement).max(initial=0.0)
-    if not free.shape[1] or far <= WITHIN_ROUNDING * largest:
+    if far <= WITHIN_ROUNDING * largest:
         return answer, free
     if far <= SLIGHT * largest:
         closer = answer.displacement + shift

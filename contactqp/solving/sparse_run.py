@@ -329,7 +329,7 @@ class SparseRun(Run):
         answer, condensation = final.answer, condense(problem)
         pushing = pushing_contacts(problem, answer)
         shift, free = least_norm.shift_to_least_norm(problem, condensation, answer, pushing)
-        if not free.shape[1]:
+        if not (free.shape[1] or shift.any()):
             return final
         resting = replace(answer, displacement=answer.displacement + shift)
         return replace(final, answer=resting, free_motions=described(problem, free))

@@ -338,3 +338,19 @@ def test_a_force_that_least_squares_leave_of_none_is_none() -> None:
     assert judged.passed
     assert judged.answer.tie_force.tolist() == [0.0, 0.0]
     assert judged.answer.normal_force == pytest.approx([0.0, 2.0], abs=1e-14)
+
+
+def test_forces_alone_put_a_body_where_contacts_without_force_leave_one_place() -> None:
+    """Three contacts and the tie meet in one point of the motions that the pushing contact leaves."""
+    problem = cq.ContactProblem(
+        np.diag([0.0, 0.0, 0.0, 9.0]),
+        [-4.5, 1.5, -6.0, 23.0],
+        [[-3.0, 0.0, -3.0, 2.0], [-3.0, 3.0, 1.0, -3.0], [0.0, -1.0, 1.0, -2.0], [-3.0, -2.0, -3.0, 2.0]],
+        [5.875, -4.25, -5.125, 2.625],
+        tie=[[-1.0, 1.0, -2.0, 2.0]],
+        tie_value=[7.5],
+    )
+    judged = cq.certify(problem, None, [1.0, 0.0, 0.0, 0.0], tie_force=[1.5])
+    assert judged.passed
+    assert judged.answer.displacement == pytest.approx([0.625, 1.625, -1.25, 2.0], abs=1e-12)
+    assert not cq.certify(problem, None, [1.0 + 1e-6, 0.0, 0.0, 0.0], tie_force=[1.5]).passed

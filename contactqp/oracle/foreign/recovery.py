@@ -345,8 +345,8 @@ def displaced(problem: ContactProblem, answer: Answer, missing: tuple[str, ...])
             yield _completed(answer, u + shift, tie, missing), f"{how}, {held}"
     if not problem.frictional:
         whole = Answer(u, answer.normal_force, None, tie)
-        shift, free = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
-        if free.shape[1]:
+        shift, _ = shift_to_least_norm(problem, condense(problem), whole, pushing_contacts(problem, whole))
+        if shift.any():
             how = "the bodies' response, moved within the gaps along what no contact resists"
             yield _completed(answer, u + shift, tie, missing), how
 
