@@ -1,6 +1,7 @@
-"""Analyses of paths, large deformations and motions; here only how to tell a motion without importing its modules.
+"""Analyse load paths, large deformations and motions; this module only recognises motions without importing their
+modules.
 
-An object of a class has had the module of the class imported: where that is not there, nothing is of the class.
+If the module of a class is not imported, no object of the class exists.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ _HOME = "contactqp.analysis.motion.motion_history"
 
 
 def is_motion(history: Any) -> TypeGuard[MotionHistory]:
-    """Say whether a history is a MotionHistory."""
+    """Return whether a history is a MotionHistory."""
     return _HOME in sys.modules and isinstance(history, sys.modules[_HOME].MotionHistory)
 
 
 def is_moving(solution: Any) -> TypeGuard[Moving]:
-    """Say whether a solution is an instant of a motion."""
+    """Return whether a solution is an instant of a motion."""
     return _HOME in sys.modules and isinstance(solution, sys.modules[_HOME].Moving)

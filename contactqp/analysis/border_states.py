@@ -1,7 +1,7 @@
-"""The states of an answer's contacts near a border of two.
+"""Decide the states of contacts near the border of two states.
 
-Certificates see a border within their tolerance. Here the answer is taken beyond double precision in given states, and
-what its gaps, forces, slips and margins are there decides.
+Certificates determine states up to their tolerance. Here the answer is computed beyond double precision in given
+states, and the signs of its gaps, forces, slips and margins decide.
 """
 
 from __future__ import annotations
@@ -49,52 +49,51 @@ from contactqp.model.coulomb import (
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate
 
-# Combinations of states that contacts at a border may go to, at most.
+# The most combinations of states of contacts at a border.
 MOST_COMBINATIONS = 256
-# Friction that misses its bound by this part of it is at its bound.
+# The relative distance within which friction is at its bound.
 AT_BOUND = 4 * EPS
-# Rates along directions that answers make, whose rounding is that of the answer, are off by this part of the largest.
+# The relative error of rates along directions computed from answers.
 RATE_EPS = 64 * EPS
-# In space, what doubles leave of a gap, a force or a slip beside what meets there, and of a bound beside the friction.
+# In space, the relative rounding of a gap, a force or a slip, and of the friction bound, in doubles.
 LEFT = 64 * EPS
-# A slip whose direction is that of its friction to this is none that rounding makes.
+# A slip within this angle of its friction is not due to rounding.
 ALIGNED = 1e-3
-# A slip in space of less than this part of the lengths that meet there is computed beyond doubles.
+# Slips in space below this part of the lengths at the contact are computed beyond double precision.
 TURNED = 1e-3
-# A slip that begins has a direction and no length yet: this one turns nothing.
+# The nominal length of a beginning slip, large enough that its direction does not change.
 FAR = 1e100
-# What slips that begin are taken to be off by before they have settled.
+# The assumed error of beginning slips before their directions have converged.
 COARSE = 1e-6
-# Turns of the directions in which contacts begin to slip, at most, and where these have settled.
+# The most iterations of the directions of beginning slips, and their tolerance.
 MOST_TURNS, TURNS_NO_MORE = 30, 1e-12
 FRICTIONLESS = "no contact has friction: rates by coefficients are those of problems that have some"
-# The rates whose signs tell states.
+# The rates whose signs determine states.
 BY_SIGN = ("normal_force", "friction_force", "slip", "gap")
 
 
 @dataclass(frozen=True, eq=False)
 class Decided:
-    """The states of an answer's contacts, those near a border decided by what they are beyond double precision."""
+    """The states of an answer's contacts, those near a border decided beyond double precision."""
 
     status: Status  # (m,)
-    grazing: Indices  # whose gaps and forces both vanish
-    at_bound: Indices  # that stick with all of the friction that they may have
+    grazing: Indices  # with zero gap and force
+    at_bound: Indices  # sticking with friction at its bound
     normal_force: Vector  # (m,)
     friction_force: Array  # (m, d-1)
     gap: Vector  # (m,)
     slip: Array  # (m, d-1)
-    sure: bool  # whether what is at a border is so to twice double precision, so not merely within an allowance of it
+    sure: bool  # whether contacts at a border are there to twice double precision, not only within a tolerance
 
 
 def decided(
     problem: ContactProblem, condensation: Condensation, status: Status, near: Indices, answer: Parts
 ) -> Decided | None:
-    """Return the states of an answer, those of contacts near a border decided; None where refinement tells nothing.
+    """Return the states of an answer with contacts near a border decided, None if refinement fails.
 
-    The answer is refined in the states, and those near a border are changed as its signs say, until none does; where
-    that leads nowhere, all of their combinations are tried. A gap or force is none where refinement leaves as much of
-    zero. Friction is at its bound where the two are one to a few roundings: the product of coefficient and force is no
-    double.
+    The answer is refined in its states, and states near a border are changed by its signs until all agree; if this
+    fails, all their combinations are tried. Gaps and forces within the error of refinement are zero. Friction is at its
+    bound if they agree to a few roundings, as the product of coefficient and force is rounded.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def decided(
 def _decided_in(
     problem: ContactProblem, condensation: Condensation, status: Status, near: Indices, answer: Parts
 ) -> Decided | Status | None:
-    """Return the states where the signs of an answer in them hold, else those that the signs lead to, or None."""
+    """Return the states if the signs of their answer agree, else those that follow from the signs, or None."""
     found = _beyond_doubles(problem, condensation, status.copy(), answer)
     if found is None:
         return None
@@ -159,7 +158,7 @@ def _decided_in(
 def _beyond_doubles(
     problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts
 ) -> tuple[tuple[Vector, Array, Vector, Array], Vector, Vector, Vector] | None:
-    """Return forces, friction, gaps and slips in some states, what forces and gaps are nothing, and friction's room."""
+    """Return forces, friction, gaps and slips in some states, their errors, and the margins of friction."""
     rows, shape = extended_rows(problem), shape_of_tangents(problem)
     none = np.zeros(shape)
     if not problem.frictional:
@@ -195,9 +194,9 @@ def _beyond_doubles(
 
 
 def resolved(problem: ContactProblem, status: Status, answer: Parts) -> Parts:
-    """Return the answer with slips in space that have their digits where bodies move far beside them.
+    """Return the answer with accurate slips in space, also if displacements are much larger.
 
-    Its displacement is rounded to doubles, which turns the direction of a slip that is small beside it.
+    Rounding of the displacement to doubles would turn the direction of a relatively small slip.
 
     Parameters
     ----------
@@ -223,7 +222,7 @@ def resolved(problem: ContactProblem, status: Status, answer: Parts) -> Parts:
 
 
 def seen_states(words: Any, slip: Array) -> Status:
-    """Return the states that words of certificates tell (m,); what slips in the plane does so on or back."""
+    """Return the states (m,) from certificates' words; in the plane the slip has a sign."""
     status = np.where(np.isin(words, ("closed", "slip")), SLIP_ON, OPEN).astype(np.int8)
     status[words == "stick"] = STICK
     if slip.shape[1] == 1:
@@ -232,7 +231,7 @@ def seen_states(words: Any, slip: Array) -> Status:
 
 
 def hardly_apart(certificate: Certificate, status: Status) -> Mask:
-    """Return which open contacts (m,) have no force and a gap that certificates excuse as nothing beside the whole."""
+    """Return the open contacts (m,) without force whose gap certificates consider negligible."""
     found = certificate.violations
     if found is None:
         return np.zeros(len(status), dtype=bool)
@@ -240,7 +239,7 @@ def hardly_apart(certificate: Certificate, status: Status) -> Mask:
 
 
 def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, drag: Array) -> Indices:
-    """Return the contacts that stick with all of the friction that their forces allow, nearly.
+    """Return the contacts that stick with friction nearly at its bound.
 
     Parameters
     ----------
@@ -256,11 +255,11 @@ def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, dra
 def decided_in_space(
     problem: ContactProblem, status: Status, grazing: Indices, answer: Answer, gap: Vector, slip: Array
 ) -> tuple[Status, Indices, Indices, bool]:
-    """Return the states (m,) in space, which contacts graze and which stick at their bounds, and if that is sure.
+    """Return the states (m,) in space, grazing contacts, those sticking at their bound, and whether these are certain.
 
-    The answer is that of its states, to the rounding of doubles: a force or a gap that is more is there, and a slip
-    that is more and goes along its friction. A gap must be there in twice double precision, too, or, where the answer
-    is not known so far, be more than rounding of the whole displacement.
+    The answer satisfies its states up to rounding of doubles, so that larger forces and gaps are not zero, nor are
+    larger slips along their friction. A gap must also be nonzero in twice double precision or, if that is not
+    available, exceed the rounding of the whole displacement.
 
     Parameters
     ----------
@@ -307,20 +306,20 @@ def decided_in_space(
 
 @dataclass(frozen=True, eq=False)
 class Borders:
-    """The contacts of an answer with friction that are at the border of two states, and what they may go to."""
+    """The contacts of an answer with friction at the border of two states, and their possible states."""
 
     problem: ContactProblem
     scales: Scales
     undecided: Indices
-    status: Status  # (m,) sticking where at the bound, open where grazing
+    status: Status  # (m,) sticking if at the bound, open if grazing
     push: Vector  # (m,)
     drag: Array  # (m, d-1)
     slip: Array  # (m, d-1)
-    slid: Mask  # (m,) which have slipped
-    still: Mask  # (m,) which have not, as certificates measure it
+    slid: Mask  # (m,) contacts with slip
+    still: Mask  # (m,) contacts without slip by the certificate's measure
 
     def choices(self, i: int) -> tuple[int, ...]:
-        """Return the states that a contact at a border may go to; in space SLIP_ON is that along its direction."""
+        """Return the possible states of a contact at a border; in space SLIP_ON is slip along its direction."""
         friction, in_space = self.problem.friction, self.drag.shape[1] > 1
         assert friction is not None
         if self.status[i] == STICK:
@@ -332,9 +331,9 @@ class Borders:
         return (OPEN, STICK, SLIP_ON) if in_space else (OPEN, STICK, SLIP_ON, SLIP_BACK)
 
     def combinations(self) -> Iterator[Status]:
-        """Return states (m,) in which contacts at a border have each combination of their choices.
+        """Yield states (m,) with each combination of possible states of contacts at a border.
 
-        Raises NoRates: there are too many.
+        Raises NoRates: there are too many combinations.
         """
         choices = [self.choices(int(i)) for i in self.undecided]
         if number_of_combinations(choices) > MOST_COMBINATIONS:
@@ -343,12 +342,12 @@ class Borders:
 
     @property
     def free(self) -> Indices:
-        """Return the contacts that may begin to slip in any direction of a plane."""
+        """Return the contacts that may begin to slip in any tangential direction."""
         found = [i for i in self.undecided if self.drag.shape[1] > 1 and len(self.choices(int(i))) > 2]
         return np.array(found, dtype=np.intp)
 
     def without_direction(self, friction: Vector) -> str | None:
-        """Return why there are no rates by coefficients: a contact without friction that has not slipped gets some."""
+        """Return why there are no rates by coefficients: a contact without slip gets friction that it did not have."""
         problem = self.problem
         if problem.friction is None or not friction.any():
             return None
@@ -359,7 +358,7 @@ class Borders:
         return f"{named(problem, still)} has {text}" if len(still) else None
 
     def unit_slips(self, begins: Indices) -> Iterator[Direction]:
-        """Yield the directions of slip origins by which some contacts are moved, each along both of its directions."""
+        """Yield unit changes of slip origins of some contacts along both tangents."""
         zero = Direction.zero(self.problem)
         for place in np.ndindex(len(begins), 2):
             unit = zero.slip_origin.copy()
@@ -367,7 +366,7 @@ class Borders:
             yield replace(zero, slip_origin=unit)
 
     def starts(self, held: Rates, moved: list[Rates], begins: Indices) -> Iterator[Rates]:
-        """Yield rates with slips that contacts may begin with: all of one contact, at most one set of more.
+        """Yield rates with possible beginning slips: all of one contact, at most one set for several.
 
         Parameters
         ----------
@@ -409,7 +408,7 @@ class Borders:
                 changed, size = lengths(rates.slip[begins] - before), lengths(rates.slip[begins])
                 if not (system.regular and np.all(size > 0)):
                     break
-                if settled:  # Newton's steps are squared: what is left is far less than the last change
+                if settled:  # by quadratic convergence the error is far below the last change
                     pushes = rates.normal_force[begins]
                     off = changed / size + abs(pushes - pushed) / np.maximum(abs(pushes), TINY)
                     yield system_of(status, rates, off + 8 * EPS)
@@ -420,7 +419,8 @@ class Borders:
         self, law: SlipLaw, system: RateSystem, known: Solved, begins: Indices,
         rates: tuple[Rates | None, Vector | None],
     ) -> None:  # fmt: skip
-        """Take the law of a system in space from the answer beyond doubles, and that of contacts which begin to slip.
+        """Set the friction law of a system in space from the answer beyond doubles, and for contacts that begin to
+        slip.
 
         Parameters
         ----------
@@ -444,7 +444,8 @@ class Borders:
         system.law = law
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
-        """Return what is not negative where rates lead undecided contacts to the states of a system, or its error.
+        """Return the quantities (or their errors) that are nonnegative if rates lead undecided contacts to the states
+        of a system.
 
         Parameters
         ----------
@@ -489,7 +490,7 @@ class Borders:
         return np.array(signs)
 
     def hold(self, found: Rates, direction: Direction, system: RateSystem) -> bool:
-        """Return whether rates lead undecided contacts to the states that they were found in."""
+        """Return whether rates lead undecided contacts to the states of their system."""
         unit, of_normal, _, _ = self.scales.units
         push = abs(found.normal_force * of_normal)
         whole = max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))

@@ -1,4 +1,4 @@
-"""Derivatives of an answer by what its problem is made of, to either side where contacts are at a border.
+"""Compute derivatives of an answer by the data of its problem, one-sided if contacts are at a border.
 
 Rates follow from the states of the contacts (`contactqp.analysis.rates`), gradients from the transposed system
 (`contactqp.analysis.gradients`).
@@ -46,37 +46,36 @@ from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_poi
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Answer, Solution
 
-# What may be differentiated, and by what.
+# The quantities and parameters of derivatives.
 FORCES = ("normal_force", "friction_force", "tie_force")
 QUANTITIES = ("displacement", *FORCES, "gap", "slip", "reaction", "energy")
 PARAMETERS = (*VECTORS, "stiffness", "rows")
-# A direction of the stiffness is symmetric to this part of its largest entry.
+# The relative asymmetry up to which a direction of the stiffness counts as symmetric.
 SYMMETRIC = 1e-12
-# Why there is no bound.
+# Reasons for a missing bound.
 IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
 UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
 SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
 NEVER_CLOSES = "gradients of gaps and slips of contacts that never close have none"
 GRAZES = "bodies are free to move, and where they go decides on what grazes them"
 UNREFINED = "refinement does not take the rates beyond double precision"
-# Along these the answer is linear while contacts keep their states.
+# Parameters in which the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()  # whether answers with friction have bounds
-# The rows of answers that constrain something, and answers on these alone, of those with others or with repeated ties.
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()  # whether an answer with friction has bounds
+# The acting rows of answers, and answers on these only, for answers with idle rows or repeated ties.
 _ACTING: WeakKeyDictionary[Solution, ActingRows | None] = WeakKeyDictionary()
 _ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
 class Derivative(ReadOnly):
-    """The rate at which a quantity of an answer changes along a direction, in its units over those of the parameter.
+    """The rate of a quantity of an answer along a direction, in its units over those of the parameter.
 
-    `left` and `right` are towards minus and plus the direction; `value` is both where they are one, else None, and
-    `reason` says why. `reach` are the steps (back, ahead) along the direction, not negative, within which no contact
-    changes its state; None where the answer is not linear along it, as for the stiffness and in space where something
-    slips. `bound` is what the value, or each of the two, may be off by, entry by entry, of a proven answer; its
-    rounding allowance is that of certificates. An answer with friction is proven, as by `contactqp.certify`, when it is
-    first asked.
+    `left` and `right` are along minus and plus the direction; `value` is both if they are equal, else None with a
+    `reason`. `reach` are the steps (back, ahead), not negative, within which no contact changes its state, None if the
+    answer is not linear along the direction, as for the stiffness and with slip in space. `bound` is the largest error
+    of each entry of the value, or of each side, for a proven answer, with the rounding allowance of certificates. An
+    answer with friction is proven at the first use, as by `contactqp.certify`.
     """
 
     value: Any
@@ -92,7 +91,7 @@ class Derivative(ReadOnly):
 @checked
 @own_floating_point
 def derivative(solution: Solution, of: str, with_respect_to: str, direction: ArrayLike) -> Derivative:
-    """Return the rate at which a quantity of an answer changes along a direction of a parameter.
+    """Return the rate of a quantity of an answer along a direction of a parameter.
 
     Parameters
     ----------
@@ -110,10 +109,10 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     Raises
     ------
     InvalidProblem
-        A name that is none of these or that the problem does not have, a wrong shape, or a direction of the stiffness
-        that is not symmetric.
+        An unknown name, or one that the problem does not have, a wrong shape, or a direction of the stiffness that is
+        not symmetric.
     Unsupported
-        The answer is of bodies too large to factorise, or with friction of contacts too many to condense.
+        The bodies are too large to factorise, or there are too many contacts with friction to condense.
 
     Examples
     --------
@@ -136,7 +135,7 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
 @checked
 @own_floating_point
 def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bool = False) -> Any:
-    """Return the derivatives by all entries of a vector parameter, flat: a row an entry of the quantity; `derivative`.
+    """Return the derivatives of all entries (rows) of a quantity by all entries (columns) of a vector parameter.
 
     Parameters
     ----------
@@ -150,7 +149,7 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
     Raises
     ------
     InvalidProblem
-        A derivative does not exist: the message says why. Stiffness and rows have `pullback` and `derivative` alone.
+        A derivative does not exist, with the reason. Stiffness and rows only have `pullback` and `derivative`.
     """
     _refuse_unknown(solution, of, with_respect_to, VECTORS)
     acting = _acting(solution)
@@ -204,7 +203,7 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     Raises
     ------
     InvalidProblem
-        A name or shape that is wrong, or a derivative that does not exist.
+        A wrong name or shape, or a derivative that does not exist.
     """
     _refuse_unknown(solution, of, with_respect_to)
     expected = np.shape(value_of(solution, of))
@@ -232,7 +231,7 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
 
 
 def _linearised(solution: Solution) -> Linearised:
-    """Return an answer and the systems of its rates, which are kept for further derivatives of the same answer."""
+    """Return an answer with the cached systems of its rates."""
     kept = solution.problem._computed
     if kept.linearised is None or kept.linearised.solution is not solution:
         kept.linearised = Linearised(solution)
@@ -241,7 +240,7 @@ def _linearised(solution: Solution) -> Linearised:
 
 
 def _acting(solution: Solution) -> ActingRows | None:
-    """Return the rows of an answer's problem that constrain something, None where all do; the others have no part."""
+    """Return the acting rows of an answer's problem, None if all act."""
     if solution not in _ACTING:
         _ACTING[solution] = rows = acting_once(solution.problem)
         if rows is not None:
@@ -250,7 +249,7 @@ def _acting(solution: Solution) -> ActingRows | None:
 
 
 def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, given: Direction) -> Derivative:
-    """Return the derivative of an answer with rows that constrain nothing from that on the others.
+    """Return the derivative of an answer with idle rows from that on the acting rows.
 
     Parameters
     ----------
@@ -264,7 +263,7 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     direction = rows.part(parameter, getattr(given, parameter))
     along = read_direction(reduced, linearised.push, parameter, direction, linearised.closed)
     found = _along(linearised, of, along, parameter)
-    if found.reach is not None and parameter == "gap":  # a row of zeros whose gap is used up has no answer beyond
+    if found.reach is not None and parameter == "gap":  # a row of zeros with zero gap has no answer for a smaller gap
         limits = solution.problem.gap[rows.idle_contacts], given.gap[rows.idle_contacts]
         back, ahead = (min(falls(limits[0], sign * limits[1]), default=np.inf) for sign in (-1.0, 1.0))
         found = replace(found, reach=(min(found.reach[0], back), min(found.reach[1], ahead)))
@@ -292,7 +291,7 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     else:
         size = abs(own) + (abs(matrix) @ np.maximum(abs(moved.left), abs(moved.right))).reshape(own.shape)
         off = (abs(matrix) @ moved.bound).reshape(own.shape)
-        if given.rows is not None and of == "gap":  # its own change is a product with the answer
+        if given.rows is not None and of == "gap":  # the change of the row is a product with the answer
             known = linearised.extended_answer
             assert known is not None
             assert known.bound is not None
@@ -303,9 +302,9 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
 
 
 def _pullback_on_acting(rows: ActingRows, solution: Solution, of: str, weights: Array, parameter: str) -> Bounded:
-    """Return the gradient of an answer with rows that constrain nothing, with its bound, from those on the others.
+    """Return the gradient, with bound, of an answer with idle rows from that on the acting rows.
 
-    A gap or slip there changes by its own data and by the displacement: its weights are those of the displacement, too.
+    Gaps and slips of idle rows depend on their data and on the displacement, to which their weights are added.
     """
     reduced, idle = _ON_ACTING[solution], rows.idle_contacts
     pair = pullback(reduced, of, rows.part(of, weights), parameter, True)
@@ -330,7 +329,7 @@ def _pullback_on_acting(rows: ActingRows, solution: Solution, of: str, weights: 
 
 
 def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, str], return_bound: bool) -> Any:
-    """Return the Jacobian of an answer with rows that constrain nothing from that on the others."""
+    """Return the Jacobian of an answer with idle rows from that on the acting rows."""
     wholes = value_of(solution, names[0]), getattr(solution.problem, names[1])
     counted = (np.arange(np.size(one)).reshape(np.shape(one)) for one in wholes)
     places = [rows.part(name, one).ravel() for name, one in zip(names, counted, strict=True)]
@@ -344,14 +343,14 @@ def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, 
 
 
 def _may_be_bounded(linearised: Linearised, shared: bool = False) -> bool:
-    """Return whether errors have bounds: where an answer is proven, that on shared forces with friction on its own."""
+    """Return whether errors have bounds: the answer is proven, and with shared forces of friction separately."""
     if linearised.shares is not None and (shared or linearised.system is not None):
         return linearised.system is not None and linearised.extended_answer is not None
     return linearised.has_bounds and (_is_proven(linearised.solution) or linearised.stands)
 
 
 def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> str:
-    """Return why rates, which contacts may share, have no bound; empty where they have one."""
+    """Return why rates, possibly of shared forces, have no bound; empty if they have one."""
     if bound is not None:
         return ""
     if linearised.shares is not None and (shared or linearised.system is not None):
@@ -381,7 +380,7 @@ def _refuse_unknown(
 
 
 def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction | None = None) -> str | None:
-    """Return why a quantity has no derivative by a parameter, along a direction or whatever this is, or None."""
+    """Return why a quantity has no derivative by a parameter, along a direction or any, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
     limited = parameter not in ("load", "stiffness") and not (along and linearised.sharings_are_few)
@@ -433,14 +432,14 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
 
 
 def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:
-    """Return the rate of a quantity, and what it may be off by or None where that is not known."""
+    """Return the rate of a quantity and its error, None if unknown."""
     if of != "energy":
         return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)
     return energy_of_rates(linearised, rates, direction)
 
 
 def _is_proven(solution: Solution) -> bool:
-    """Return whether errors of an answer are bounded; one with friction is proven when this is first asked of it."""
+    """Return whether errors of an answer are bounded; an answer with friction is proven at the first call."""
     problem, certificate = solution.problem, solution.certificate
     if certificate.proven or not problem.frictional:
         return certificate.proven
@@ -455,9 +454,9 @@ def _is_proven(solution: Solution) -> bool:
 def read_direction(
     solution: Solution, push: Vector, parameter: str, direction: Any, closed: Indices | None = None
 ) -> Direction:
-    """Return a direction of one parameter, and what it means at an answer with contact forces (m,).
+    """Return the direction of a parameter as changes of the data, at an answer with contact forces (m,).
 
-    Raises InvalidProblem: a wrong shape, numbers that are not finite, one of the stiffness that is not symmetric.
+    Raises InvalidProblem: a wrong shape, numbers that are not finite, or an unsymmetric change of the stiffness.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
-"""Every change of contact state along a load path with Coulomb friction in the plane, found exactly.
+"""Find every change of contact state along a load path with Coulomb friction in the plane, exactly.
 
 While no contact opens, closes, starts or stops slipping, displacements and forces are linear in the load. An event is
 where a gap, a contact force or the margin mu l_N - |l_T| of a sticking contact reaches zero, or a corner of the path.
-From there the contacts go on by Coulomb's law in rates. A contact that sticks is anchored at its E_T u of the instant
-at which it began to.
+The following states satisfy Coulomb's law in rates. A sticking contact is anchored at its E_T u when it began to stick.
 
 Along a leg the load grows by df. Open contacts, and those that stick inside their cone, keep their state. Those at the
-edge of their cone, l_T = e mu l_N with e = +-1, slip on or stick,
+edge of their cone, l_T = e mu l_N with e = +-1, slip or stick,
 
     l_T' = e mu l_N', e s' >= 0     or     s' = 0, e l_T' <= mu l_N',
 
@@ -14,8 +13,8 @@ and contacts with neither gap nor force choose among open, stick and slip by the
 
     gap' >= 0, l' = 0     or     gap' = 0, l_N' >= 0, |l_T'| <= mu l_N', l_T' = mu l_N' s'/|s'| where s' != 0.
 
-Above a critical friction no choice may satisfy this (the motion snaps), or several (Klarbring 1990). Continuations that
-differ by a rigid motion that no load drives and no contact resists count as one, in which that motion rests.
+Above a critical friction no choice (the motion snaps) or several may satisfy this (Klarbring 1990). Continuations that
+differ by an unresisted rigid motion without drive count as one, in which that motion rests.
 """
 
 from __future__ import annotations
@@ -48,43 +47,43 @@ from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
 from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
 
-# Rates that fail by this part of the largest, lengths and forces both in sqrt(energy), fail by rounding.
+# Violations of rates below this part of the largest are rounding, with lengths and forces in sqrt(energy).
 STEADY_RATE = 1e-11
-# Gaps, forces and rooms below this part of the largest are zero.
+# Gaps, forces and margins below this part of the largest are zero.
 NOTHING = 1e-12
-# Rates that fail by more than this part fail by more than rounding of the data: all do where absence is claimed.
+# Violations above this part exceed rounding of the data; nonexistence requires this of all combinations.
 CLEARLY = 1e-8
-# Rates that leave this part of the load's rate unbalanced are none, however large they are: those of a system that is
-# singular, whose motion the load drives, are without end.
+# Rates that leave this part of the load's rate unbalanced are no solution, as those of a singular system with a driven
+# motion.
 UNBALANCED = 1e-4
-# What fails by this part of the largest in doubles does so by more than their rounding.
+# Violations above this part of the largest exceed the rounding of doubles.
 UNSOLVED = 1e-9
-# Rates that differ by this part of the largest are two continuations.
+# Rates that differ by more than this part of the largest are different continuations.
 DISTINCT = 1e-7
-# Combinations of undecided contacts up to which all are tried, so that several continuations are seen.
+# Up to this many combinations of undecided contacts, all are tried, to detect several continuations.
 ALL_TRIED = 256
-# Up to this many are tried where the quick search finds none.
+# Up to this many are tried if the quick search fails.
 MOST_TRIED = 4096
-# Steps of the quick search.
+# The most steps of the quick search.
 QUICK_STEPS = 40
 WORDS: dict[int, str] = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A part of a leg on which displacements and forces are linear."""
+    """A part of a leg with linear displacements and forces."""
 
     start: float  # fraction of the leg
     end: float
     status: Status  # (m,)
-    anchor: Vector  # (m,) E_T u of those that stick [length]
+    anchor: Vector  # (m,) E_T u of sticking contacts [length]
     answer: Answer  # at its start
     rate: Answer  # for the whole leg
 
     def near(self, fraction: float) -> Answer:
         """Return the answer at a fraction of the leg, to double precision.
 
-        Where contacts are redundant, it says which of many forces go on from those at the start.
+        If contacts are redundant, the forces are those that continue the forces at the start.
         """
         part, one, rate = fraction - self.start, self.answer, self.rate
         friction = None
@@ -103,7 +102,7 @@ class _Margins:
     """The quantities whose sign changes at an event, (4, m): gap, force, and both margins to the cone, scaled."""
 
     value: Array
-    kept: Mask  # which concern a contact in its state
+    kept: Mask  # those relevant for a contact's state
 
 
 class ExactPath:
@@ -128,8 +127,8 @@ class ExactPath:
         self.segments: list[Segment] = []
 
     def leg(self, start: Vector, end: Vector, time: float, lasts: float = 1.0) -> None:
-        """Follow a leg, or a part of it, from a pseudo-time on; `events` and `segments` are those of this leg until it
-        ended or the path did, their times fractions of the leg.
+        """Follow a leg, or a part of it, from a pseudo-time on; `events` and `segments` are those of this leg, up to
+        its end or that of the path, with times as fractions of the leg.
 
         Parameters
         ----------
@@ -140,7 +139,7 @@ class ExactPath:
         Raises
         ------
         NoEquilibrium, SeveralEquilibria, NotConverged
-            No continuation, several, or too many events; with the pseudo-time.
+            No continuation, several, or too many events; the message has the pseudo-time.
         """
         zero, problem = np.zeros(self._problem.contacts), self._problem
         direction = problem.replace(load=end - start, gap=zero, slip_origin=zero, tie_value=np.zeros(problem.ties))
@@ -179,12 +178,12 @@ class ExactPath:
             return self._in_doubles(segment.status, lengths)
         answer = answer_in(problem, self._condensation, self.system.rows, segment.status, segment.near(fraction))
         if not holds(problem.replace(slip_origin=self._position(answer)), answer):
-            # An answer that is zero is not reached from one that is not.
+            # A zero answer is not continued from a nonzero one.
             answer = answer_in(problem, self._condensation, self.system.rows, segment.status, _nothing(problem))
         return without_idle_friction(self.system, answer)
 
     def _in_doubles(self, status: Status, lengths: Lengths) -> Answer:
-        """Return the answer of a combination as the system has it; NotConverged where that leaves forces free."""
+        """Return the answer of a combination in doubles; raise NotConverged if forces are not unique."""
         found, u = self.system.solve(status, lengths), np.zeros(self._problem.dimension)
         if self.system.redundant(status) or found.residual > UNSOLVED * lengths.size:
             raise NotConverged("follow_path: forces in doubles are not determined")
@@ -192,7 +191,7 @@ class ExactPath:
         return self.system.unscaled(found, u)
 
     def _decided(self, before: Status, now: Status, time: float) -> list[Event]:
-        """Return what happened to each contact; a contact that closes slipping yields two events."""
+        """Return the events of all contacts; a contact that closes slipping yields two."""
         events: list[Event] = []
         for i in np.flatnonzero(before != now).tolist():
             kinds: list[str] = []
@@ -204,13 +203,13 @@ class ExactPath:
         return events
 
     def _go_on_in(self, status: Status) -> None:
-        """Continue in these states; contacts that begin to stick are anchored where they are."""
+        """Continue in these states, anchoring contacts that begin to stick."""
         begins = (status == STICK) & (self.status != STICK)
         self.anchor = np.where(begins, self._position(self.answer), self.anchor)
         self.status = status
 
     def _standing(self, hit: Mask) -> Standing:
-        """Return which contacts have a choice: those that reached a zero, and those that are at one by their values."""
+        """Return the undecided contacts: those that reached a zero, and those whose values are zero."""
         margins = self._margins(self.answer)
         zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
         closed, stuck = self.status != OPEN, self.status == STICK
@@ -220,10 +219,10 @@ class ExactPath:
         return Standing(self.status, np.where(null, 0, edge).astype(np.int8), null)
 
     def _next(self, standing: Standing, rate: Answer) -> tuple[float, Mask]:
-        """Return the part of the leg to the next zero, and the margins (4, m) that reach it there."""
+        """Return the part of the leg to the next zero, and the margins (4, m) that vanish there."""
         margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
         decided = standing.null | (standing.edge != 0)
-        # What was just decided does not fall.
+        # A margin that was just decided does not decrease.
         at_zero = margins.value <= 10 * NOTHING * self._sizes(margins.value)
         falls = margins.kept & (slope < -STEADY * self._sizes(slope)) & ~(decided & at_zero)
         ahead = np.full(slope.shape, np.inf)
@@ -242,12 +241,12 @@ class ExactPath:
         return _Margins(value, np.array([~closed, closed, stuck, stuck]))
 
     def keeps_signs(self) -> bool:
-        """Return whether gaps, forces and margins where the path has come to are not negative, but for rounding."""
+        """Return whether gaps, forces and margins at the current load are nonnegative up to rounding."""
         margins = self._margins(self.answer)
         return not np.any(margins.kept & (margins.value < -UNSOLVED * self._sizes(margins.value)))
 
     def _sizes(self, values: Array) -> Array:
-        """Return the largest gap, then the largest force, (4, 1)."""
+        """Return the largest gap and the largest force as scales of margins (4, 1)."""
         gap, force = (float(np.max(abs(part), initial=0.0)) for part in (values[0], values[1:]))
         return np.array([gap, force, force, force])[:, None]
 
@@ -260,13 +259,13 @@ class ExactPath:
         return np.asarray(self._problem.tangent @ answer.displacement)
 
     def jump_at_start(self) -> str:
-        """Return which contact is closed at the start of the path and anchored elsewhere, in words, or ''."""
+        """Return in words the contact that is closed at the start of the path but anchored elsewhere, or ''."""
         origin = self._problem.slip_origin
         gap = self._problem.gap - self._problem.normal @ self.answer.displacement
         if origin is None:
             return ""
         length = abs(self.anchor) + abs(origin[:, 0])
-        # A contact that carries a force at the start has slipped to where it is.
+        # A contact with a force at the start has slipped to its position.
         off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
         if not np.any(off & (self.system.coefficient > 0)):
             return ""
@@ -284,20 +283,20 @@ def _nothing(problem: ContactProblem) -> Answer:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """The state of every contact at one instant, and which contacts have a choice."""
+    """The state of every contact at one instant, and the undecided contacts."""
 
-    status: Status  # (m,) as they came
+    status: Status  # (m,) previous states
     edge: NDArray[np.int8]  # (m,) e = +-1 at the edge of the cone, else 0
     null: Mask  # (m,) neither gap nor force
 
     @property
     def undecided(self) -> Indices:
-        """Return which contacts have a choice, (m,)."""
+        """Return the undecided contacts (m,)."""
         return np.flatnonzero(self.null | (self.edge != 0))
 
 
 def continuation(system: ForceSystem, rates: Lengths, standing: Standing, problem: ContactProblem, at: str) -> Status:
-    """Find the combination of open, stick and slip in which the contacts go on.
+    """Return the combination of open, stick and slip in which the path continues.
 
     Parameters
     ----------
@@ -310,11 +309,11 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     Raises
     ------
     NoEquilibrium
-        There is none, since every combination fails by far more than rounding: the equilibrium is lost at this load.
+        Every combination fails by far more than rounding: the equilibrium is lost at this load.
     SeveralEquilibria
-        Several, and nothing chooses.
+        There are several.
     NotConverged, Unsupported
-        None was found, and one nearly holds, or too many contacts are undecided to try all; a loose body jumps.
+        None was found but one is nearly admissible, or too many contacts are undecided to try all; a free body jumps.
     """
     choices = _choices(system, standing)
     count = number_of_combinations(choices)
@@ -362,7 +361,7 @@ def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
 
 
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
-    """Return by how much the rates of each contact fail, (m,); -inf where a contact has no choice."""
+    """Return the violation of the law by each contact's rates (m,), -inf for decided contacts."""
     coefficient, e, sticks = system.coefficient, standing.edge, answer.status == STICK
     at_null = answer.worst(coefficient)
     at_edge = np.where(sticks, e * answer.friction - coefficient * answer.normal, -e * answer.slip.astype(float))
@@ -375,7 +374,7 @@ def _size(answer: CombinationAnswer, rates: Lengths) -> float:
 
 
 def _failing(system: ForceSystem, rates: Lengths, standing: Standing, answer: CombinationAnswer) -> float:
-    """Return by how much a combination fails as an answer or in its signs, as a part of the largest rate."""
+    """Return the violation of equilibrium or signs by a combination, relative to the largest rate."""
     size = _size(answer, rates)
     if np.any(rates.load) and answer.residual > UNBALANCED * rates.size:
         return np.inf
@@ -390,13 +389,13 @@ def _holds(system: ForceSystem, rates: Lengths, standing: Standing, answer: Comb
 def _same(
     system: ForceSystem, standing: Standing, one: CombinationAnswer, other: CombinationAnswer, rates: Lengths
 ) -> bool:
-    """Say whether two continuations differ at most by motions that no load drives and no contact resists."""
+    """Return whether two continuations differ at most by unresisted motions without drive."""
     loaded = ~standing.null & (standing.status != OPEN)
     return system.same(one, other, loaded, DISTINCT * max(_size(one, rates), _size(other, rates)))
 
 
 def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | None:
-    """Run Newton's method on the undecided contacts, started from the states in which they came."""
+    """Run Newton's method on the undecided contacts, started from their previous states."""
     m, status, seen = system.contacts, standing.status.copy(), set()
     for _ in range(QUICK_STEPS):
         if status.tobytes() in seen:
@@ -414,7 +413,7 @@ def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | 
 
 
 def _resting(system: ForceSystem, rates: Lengths, standing: Standing, status: Status) -> Status:
-    """Return the same continuation with contacts at their edge that do not slip called stuck."""
+    """Return the same continuation, with state "stick" for contacts at their edge that do not slip."""
     answer = system.solve(status, rates)
     still = (standing.edge != 0) & ~standing.null & (abs(answer.slip) <= STEADY_RATE * _size(answer, rates))
     resting = np.where(still, STICK, status).astype(np.int8)
@@ -439,7 +438,9 @@ def _named(problem: ContactProblem, contacts: Indices) -> str:
 
 @dataclass(frozen=True, eq=False)
 class StateMargins:
-    """What keeps contacts in their states, or its rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
+    """The quantities that determine contact states, or their rates: gaps (m,), forces (m,), friction and slips (m,
+    d-1).
+    """
 
     gap: Vector
     push: Vector

@@ -1,7 +1,7 @@
-"""Cones of the forces of contacts with friction, and groups of contacts whose rows depend on one another.
+"""Analyse cones of contact forces with friction, and groups of contacts with dependent rows.
 
-What a group exerts is unique, how its contacts share it not: linear programs tell in which combinations of open, stick
-and slip they can exert it, go on doing so along a direction, and how far.
+The resultant of a group is unique, but not its distribution to contacts. Linear programs determine the combinations of
+open, stick and slip that can exert it, or continue to do so along a direction, and how far.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, number_of_combinations
 from contactqp.model.problem import ContactProblem
 
-# Of unit rows and of changes of forces, what is none.
+# The tolerances below which unit rows and changes of forces are zero.
 NOTHING = 1e-9
-# Contacts of one group share a step along a direction, whose length is that of their force, at least so far; and they
-# share their force in the midst of their cones where each ray of these carries at least so much of the largest one.
+# The least step along a direction, relative to the force, to which a group must be able to exert it; and the least
+# share of each ray, relative to the largest, for forces strictly inside the cones.
 GOES_ON = 1e-6
-# Sides of the polygons about and in a cone in space, and sectors of slips that begin, which are halved down to these.
+# Sides of the polygons around and within a cone in space, and the smallest sectors of beginning slips by halving.
 SIDES, NARROW = 16, np.pi / 128
-# Linear programs that exclude slips which begin in space, at most.
+# The most linear programs for excluding beginning slips in space.
 MOST_PROGRAMS = 2000
 
-# A choice of states for the contacts of one group.
+# States of the contacts of one group.
 Choice: TypeAlias = tuple[int, ...]
 
 
 class Cones:
-    """The rows of contacts that touch, and of ties, of unit length, and the cones in which their forces are.
+    """The rows of touching contacts and ties, of unit length, and the cones of their forces.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ class Cones:
     Attributes
     ----------
     along : the directions of slip of the contacts that have slipped
-    rows : (p, n) array, those in which forces act: of a contact that has slipped its only ray
-    owners : (p,) array of int, the contacts of the rows, and -1 - k of tie k
+    rows : (p, n) array, the directions of forces, a single ray for a contact with slip
+    owners : (p,) array of int, the contacts of the rows, -1 - k for tie k
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Cones:
         return np.concatenate([np.array(found), answer.tie[ties] * of_tie[ties]])
 
     def rays(self, i: int, state: int, corners: Array | None = None) -> Array:
-        """Return the rays of the cone that a contact's force is in: rows of it, in one of its states.
+        """Return the rays of the cone of a contact's force in a state, as combinations of its rows.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Cones:
         return other
 
     def of_contact(self, i: int) -> Choice:
-        """Return the states that a contact may be in as others take its force; slips that begin in space apart."""
+        """Return the possible states of a contact as others take over its force, without beginning slips in space."""
         if self.mu[i] == 0:
             return (OPEN, SLIP_ON)
         if i in self.along:
@@ -127,12 +127,12 @@ class Cones:
         return (STICK, OPEN, SLIP_ON, SLIP_BACK) if self.tangent[i].shape[0] == 1 else (STICK, OPEN)
 
     def begins(self, i: int, state: Any) -> bool:
-        """Return whether a contact that has not slipped does so in a state."""
+        """Return whether a contact without slip begins to slip in a state."""
         return self.mu[i] > 0 and i not in self.along and state not in (OPEN, STICK)
 
 
 class Group:
-    """Contacts and ties whose rows depend on one another, and what they exert; `contacts` are its places."""
+    """Contacts and ties with dependent rows, and their resultant; `contacts` are their indices."""
 
     def __init__(self, cones: Cones, forces: Vector, places: Indices) -> None:
         self._cones, self._places = cones, places
@@ -147,14 +147,15 @@ class Group:
         self._size = float(np.max(abs(forces[places]), initial=0.0))
 
     def choices(self) -> list[Choice]:
-        """Return the combinations of states that can exert what the group does; none where there are too many."""
+        """Return the combinations of states that can exert the resultant, none if there are too many."""
         options = [self._cones.of_contact(i) for i in self.contacts]
         if number_of_combinations(options) > MOST_COMBINATIONS:
             return []
         return [choice for choice in product(*options) if self._step(self._outer(choice)) is not None]
 
     def _step(self, cones: list[Array], change: Vector | None = None, whole: bool = False) -> float | None:
-        """Return how far the force of the group may change so that it stays in cones, 1 at most; None if it is in none.
+        """Return the largest part, at most 1, of a change with which the force stays in the cones, None if it is
+        outside.
 
         Parameters
         ----------
@@ -171,7 +172,7 @@ class Group:
         return None if found is None else float(found.x[-1])
 
     def _change(self, rates: Rates) -> Vector:
-        """Return how the force of the group changes at some rates; nothing where that is rounding of the rates."""
+        """Return the change of the resultant at some rates, zero if it is their rounding."""
         cones, (_, of_normal, _, of_tie) = self._cones, self._cones.scales.units
         change = self._basis @ self._ties.T @ (rates.tie_force * of_tie)[self._tied]
         for i in self.contacts:
@@ -181,7 +182,7 @@ class Group:
         return np.where(told, change, 0.0)
 
     def goes_on(self, choice: Choice, rates: Rates, friction: Vector) -> bool:
-        """Return whether the group goes on exerting its force, changing at these rates, in a combination of states.
+        """Return whether a combination of states can exert the resultant as it changes at these rates.
 
         Parameters
         ----------
@@ -198,18 +199,20 @@ class Group:
         return self._step(self._outer(choice, cones), GOES_ON * change, whole=True) is not None
 
     def _wider(self, friction: Vector) -> float:
-        """Return the largest rate of coefficients of contacts that have not slipped, as a part of these."""
+        """Return the largest relative rate of coefficients of contacts without slip."""
         mu, still = self._cones.mu, [i for i in self.contacts if self._cones.mu[i] > 0 and i not in self._cones.along]
         return float(np.max(abs(friction[still]) / mu[still], initial=0.0))
 
     def reach(self, choice: Choice, rates: Rates) -> float:
-        """Return the largest step along some rates in the plane to which a combination of states exerts the force."""
+        """Return the largest step along rates in the plane up to which a combination of states exerts the resultant."""
         change, rays = self._change(rates), np.concatenate([*self._outer(choice), self._ties]) @ self._basis.T
         limits: list[Any] = [(0.0, None)] * (len(rays) - len(self._ties)) + [(None, None)] * len(self._ties)
         return longest_step(rays.T, self._exerts, change, limits) if change.any() else np.inf
 
     def is_steady(self, choices: list[Choice]) -> bool:
-        """Return whether all combinations that exert the force hold the same motions and push along the same."""
+        """Return whether all combinations that exert the resultant constrain the same motions and have the same force
+        directions.
+        """
         spans = []
         for choice in filter(self.may_move, choices):
             pairs = list(zip(self.contacts, choice, strict=True))
@@ -221,7 +224,7 @@ class Group:
         return bool(spans) and same and (not self._cones.in_space or self._is_within(choices))
 
     def is_inner(self, choice: Choice) -> bool:
-        """Return whether contacts in these states can exert the force in the midst of their cones."""
+        """Return whether contacts in these states can exert the resultant strictly inside their cones."""
         inner = np.arange(SIDES) * (2 * np.pi / SIDES) if self._cones.in_space else np.array([0.0, np.pi])
         corners = _directions(inner)[:, : 1 + self._cones.in_space]
         cones = [
@@ -232,7 +235,7 @@ class Group:
         return step is not None and step >= GOES_ON
 
     def _is_within(self, choices: list[Choice]) -> bool:
-        """Return whether the force is within cones in space, not at their border, and no slip can begin."""
+        """Return whether the force is strictly inside the cones in space, and no slip can begin."""
         if not self.is_inner(max(choices, key=lambda choice: sum(state != OPEN for state in choice))):
             return False
         quarters = [(k * np.pi / 2, (k + 1) * np.pi / 2) for k in range(4)]
@@ -255,7 +258,7 @@ class Group:
         return False
 
     def _outer(self, choice: tuple[Any, ...], of: Cones | None = None) -> list[Array]:
-        """Return cones about the forces of contacts in some states, of slips that begin in a sector."""
+        """Return cones that contain the forces of contacts in some states, for slips that begin in a sector."""
         cones, of = [], self._cones if of is None else of
         for i, one in zip(self.contacts, choice, strict=True):
             if isinstance(one, tuple):
@@ -267,7 +270,7 @@ class Group:
         return cones
 
     def may_move(self, choice: tuple[Any, ...], along: Direction | None = None) -> bool:
-        """Return whether the group may move so that contacts hold, open, or begin to slip, all that are to do so.
+        """Return whether a motion of the group exists with which its contacts stick, open or begin to slip as chosen.
 
         Parameters
         ----------
@@ -305,12 +308,12 @@ class Group:
 
 
 def _combined(turn: Vector, pairs: list[tuple[Array, float]]) -> tuple[Array, float]:
-    """Return a combination of rows and of what they are to be."""
+    """Return a combination of rows and of their values."""
     return sum(x * row for x, (row, _) in zip(turn, pairs, strict=True)), float(turn @ [limit for _, limit in pairs])
 
 
 def _same_span(one: Array, other: Array) -> bool:
-    """Return whether rows of unit length span the same."""
+    """Return whether rows of unit length span the same space."""
     ranks = {np.linalg.matrix_rank(rows, tol=NOTHING) if len(rows) else 0 for rows in (one, other)}
     both = [rows for rows in (one, other) if len(rows)]
     return len(ranks) == 1 and (not both or np.linalg.matrix_rank(np.concatenate(both), tol=NOTHING) in ranks)

@@ -1,13 +1,13 @@
-"""Load paths with Coulomb friction: in steps, or from one exact event to the next.
+"""Compute load paths with Coulomb friction in steps, or from one exact event to the next.
 
-A step starts from where the one before left its contacts. Afterwards it is followed again from event to event
-(`friction_events`): where that finds no continuation, the step has jumped to an equilibrium beyond; where it finds
-several, or where several equilibria exist at the end of the step, the step has chosen one. Both are noted.
+A step starts from the contact positions of the previous one. Afterwards it is followed from event to event
+(`friction_events`). If there is no continuation, the step has jumped to another equilibrium; if there are several, or
+several equilibria at its end, the step has chosen one. Both are noted.
 
-Penalty methods give contacts a stiffness: they solve Coulomb's law of bodies with springs at their contacts
-(`contactqp.solving.methods.penalty`). Their path is that of these bodies, in steps or by exact events. The
-history shows the bodies without the springs: a solution is what the method itself makes of `solution.problem`, whose
-slip origin is where the sliders were at the instant before, or where they stick.
+Penalty methods solve Coulomb's law for bodies with contact springs (`contactqp.solving.methods.penalty`); their path is
+that of these bodies, in steps or by exact events. The history has the bodies without springs: each solution is the
+method's answer to `solution.problem`, whose slip origins are the positions of the sliders at the previous instant, or
+where they stick.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from contactqp.solving.methods.penalty import with_contact_springs, without_cont
 DEFAULTS: dict[str, Any] = dict(tolerance=1e-9, condense="auto", polish=True, time_limit=None, max_iter=None)
 ARGUMENTS = tuple(DEFAULTS)
 PREFIX = "follow_path: "
-# Operations that following steps again for their notes may take, about a second, unless the steps took more.
+# Operations (about a second) for following steps again for notes, unless the steps took more.
 BUDGET = 1e9
-# Operations that an event takes however small the problem is, for each square of the rows of contacts and ties, for
-# each entry of the stiffness where loads are condensed, and where answers are refined.
+# Operations of an event: in any case, per square of the rows of contacts and ties, per entry of the stiffness for
+# condensing loads, and for refining answers.
 CALL, PER_SQUARE, PER_UNKNOWN, PER_ENTRY = 2e6, 50.0, 20.0, 200.0
-# Contact springs of this many times the stiffness that the bodies show there: rates keep five digits.
+# The largest ratio of contact springs to the stiffness of the bodies, with which rates have five digits.
 STIFFEST = 1e6
 
 
@@ -67,7 +67,7 @@ def follow_with_friction(
 ) -> History:
     """Follow the legs from corner to corner, each in `count` steps and, with `exactly`, at every event.
 
-    Raises Unsupported: exact events with two tangential directions a contact, and what `FrictionSteps` cannot do.
+    Raises Unsupported: exact events with two tangents per contact, and the cases of `FrictionSteps`.
 
     Parameters
     ----------
@@ -127,9 +127,9 @@ def _between_events(problem: ContactProblem, corners: Sequence[Vector], count: i
 
 
 def _ended(path: ExactPath, problem: ContactProblem, start: Vector, end: Vector, leg: int) -> ContactQPError | None:
-    """Follow one leg, and return what ended the path in it, if anything did.
+    """Follow one leg, and return the error that ended the path, if any.
 
-    Where no continuation was found, the load at the end of the leg may be proven to have no equilibrium.
+    If no continuation was found, nonexistence of an equilibrium at the end of the leg may be proven.
     """
     try:
         path.leg(start, end, leg)
@@ -146,17 +146,16 @@ def _ended(path: ExactPath, problem: ContactProblem, start: Vector, end: Vector,
 
 
 class _Instants(LazySolutions):
-    """The solutions at instants of a path that is linear between them; each is certified on first access."""
+    """The solutions at instants of a piecewise linear path, each certified at first access."""
 
     def __init__(self, first: Solution) -> None:
         super().__init__([first])
         self._displacement = first.displacement
 
     def add(self, path: ExactPath, problem: ContactProblem, fraction: float, segments: Sequence[Segment]) -> None:
-        """Append the answer to the problem's load in a segment; its slip counts from the instant before.
+        """Append the answer to the problem's load in a segment, with slip from the previous instant.
 
-        At an event two segments meet: the slip is that of the first, and which of them the load, rounded, is in is
-        seen by the signs.
+        At an event two segments meet: the slip is that of the first, and signs decide in which one the rounded load is.
         """
         past = segments[0]
         before = np.asarray(problem.tangent @ self._displacement) if problem.tangent is not None else past.anchor
@@ -170,11 +169,11 @@ class _Instants(LazySolutions):
 
 
 class FrictionSteps(LazySolutions):
-    """The solutions at the steps of a path; each is refined, expanded and certified on first access.
+    """The solutions at the steps of a path, each refined, expanded and certified at first access.
 
-    The problem of each has its slip origin: `Solution.slip` is the slip of its step, counted from where a contact was
-    at the step before or from where it closed within the step. A contact that is open at the end of a step has no
-    anchor; its slip origin is its E_T u of the step before and says nothing.
+    `Solution.slip` is the slip of one step, from the contact's position at the previous step or where it closed within
+    the step; this is the slip origin of the solution's problem. Contacts open at the end of a step have no anchor, and
+    their slip origin, the previous E_T u, has no meaning.
     """
 
     _before: State
@@ -188,13 +187,13 @@ class FrictionSteps(LazySolutions):
         self._stepper = _stepper(problem, method, options)
         self._leg = -1
         self._states: list[tuple[Mask, Mask]] = []
-        self._early: dict[int, Indices] = {}  # contacts by the number of the step
+        self._early: dict[int, Indices] = {}  # contacts, by step number
         nothing = np.zeros(problem.dimension)
         self._stepper.turn(nothing, nothing)
         origin = problem.slip_origin
         with one_blas_thread(problem):
             state = self._stepper.solve(1.0, origin, np.zeros(problem.contacts, dtype=bool))
-        # A contact that is closed and carries nothing is where the caller anchored it.
+        # A closed contact without force is at the given slip origin.
         at_rest = state.touching & ~state.pushes
         self._keep(state, Anchors(np.where(at_rest[:, None], origin, state.settled), state.touching))
 
@@ -206,7 +205,7 @@ class FrictionSteps(LazySolutions):
         self._before = replace(self._before, fraction=0.0)
 
     def go_to(self, fraction: float) -> None:
-        """Take one more step, to the load at a fraction of the leg.
+        """Add a step to the load at a fraction of the leg.
 
         Raises NoEquilibrium, SeveralEquilibria, NotConverged as `solve`, with the pseudo-time.
         """
@@ -227,7 +226,7 @@ class FrictionSteps(LazySolutions):
             raise NotCertified(message, error.solution) from error
 
     def _refuse_driven(self, fraction: float) -> None:
-        """Raise NoEquilibrium where the load drives a motion that contacts, slipping from anywhere, do not hold."""
+        """Raise NoEquilibrium if the load drives a motion that contacts do not resist, for any slip origins."""
         if not (iterated(self._problem) or contacts_are_many(self._problem)):
             problem = self._problem.replace(load=between(*self._corners, fraction))
             refuse_driven_motion(problem, condense(problem).rigid)
@@ -241,11 +240,11 @@ class FrictionSteps(LazySolutions):
         self._states.append((state.pushes, state.slides))
 
     def changes(self, times: Sequence[float]) -> Iterator[Event]:
-        """Return every change of contact state, at the first step that shows it."""
+        """Return every change of contact state, at the first step after it."""
         return contact_changes(self._states, times, self._problem.contact_name)
 
     def notes(self, times: Sequence[float]) -> Iterator[str]:
-        """Return the notes of steps: contacts whose anchors are guesses, and those of `step_notes`."""
+        """Return the notes of steps: contacts with assumed anchors, and those of `step_notes`."""
         for i, contacts in self._early.items():
             names = listed([self._problem.contact_name(int(k)) for k in contacts])
             yield (
@@ -256,7 +255,7 @@ class FrictionSteps(LazySolutions):
 
 
 def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, Any]) -> None:
-    """Raise on options that `solve` refuses, and on a warm start, which the path provides itself."""
+    """Raise InvalidProblem for options that `solve` refuses, and for a warm start, which the path provides."""
     algorithm = options.get("algorithm")
     if algorithm is not None and not isinstance(algorithm, str):
         raise InvalidProblem(f"algorithm: expected a name, got {shown(algorithm)}")
@@ -271,7 +270,7 @@ def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, A
 
 
 def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> Stepper:
-    """Choose Newton's method on the contact unknowns in the plane, unless options, method or size demand `solve`."""
+    """Return Newton's method on the contact unknowns in the plane, unless options, method or size require `solve`."""
     chosen = find(method)
     if not chosen.exact or not chosen.semidefinite:
         raise Unsupported(f"{chosen.name}: a path with Coulomb friction takes an exact convex method; try active-set")
@@ -279,17 +278,17 @@ def _stepper(problem: ContactProblem, method: str, options: dict[str, Any]) -> S
     limited = options.get("max_iter") is not None or options.get("time_limit") is not None
     in_plane = problem.slip_origin is not None and problem.slip_origin.shape[1] == 1
     whole = iterated(problem) or contacts_are_many(problem)
-    own = chosen.solve_friction is not None  # systems of stick and slip
+    own = chosen.solve_friction is not None  # in systems of stick and slip
     if in_plane and not (whole or limited or own) and options.get("algorithm") in (None, "newton"):
         return PlaneStepper(problem, method, {**options, "algorithm": None})
     return SolveStepper(problem, method, options)
 
 
 def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """Return one note for every step that jumps or chooses, and one for every run of steps with several equilibria.
+    """Return a note for every step that jumps or chooses, and for every series of steps with several equilibria.
 
-    Steps are followed in doubles, and to the last digits those that are stopped there or lose the signs of contacts.
-    This may take `BUDGET` operations, or as many as the steps took; a note says where it stopped.
+    Steps are followed in doubles, and in extended precision if this fails or loses the signs of contacts. This takes at
+    most `BUDGET` operations, or as many as the steps; a note has the step where it stopped.
     """
     reason = _not_followed(problem)
     if reason:
@@ -318,7 +317,7 @@ def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequen
 
 
 def _operations_of_an_event(problem: ContactProblem, system: ForceSystem) -> tuple[float, float]:
-    """Return the operations that following a path to its next event takes, in doubles and to the last digits."""
+    """Return the operations of following a path to its next event, in doubles and in extended precision."""
     rows, entries = float(len(system.slope)), float(problem.stiffness_rows.nnz)
     in_doubles = CALL + PER_SQUARE * rows**2 + rows**3 + PER_UNKNOWN * entries
     return in_doubles, in_doubles + CALL + 2 * PER_ENTRY * entries
@@ -338,7 +337,7 @@ def _through(
     times: tuple[float, float],
     refined: bool,
 ) -> tuple[ExactPath, str]:
-    """Return the path through one step, and in words what stops it, or ''."""
+    """Return the path through one step, and in words why it ended, or ''."""
     start, end = times
     path = ExactPath(problem, before, system, refined)
     jump = path.jump_at_start() if start == 0 else ""
@@ -358,7 +357,7 @@ def _through(
 
 
 def _several(steps: Sequence[Solution], times: Sequence[float]) -> Iterator[str]:
-    """Return the runs of steps at whose loads the certificate finds other equilibria."""
+    """Return the series of steps at whose loads the certificate finds other equilibria."""
     known = [i > 0 and SEVERAL in solution.certificate.uniqueness for i, solution in enumerate(steps)]
     for several, run in groupby(range(len(known)), key=known.__getitem__):
         places = list(run)
@@ -376,10 +375,10 @@ def follow_on_springs(
     chosen: Method,
     options: dict[str, Any],
 ) -> History:
-    """Follow a path, as `follow_with_friction`, by a method whose `springs` names the stiffnesses of its contacts.
+    """Follow a path like `follow_with_friction` by a method with contact springs (`springs` has their options).
 
     Raises InvalidProblem: a stiffness is missing, or not positive and finite; Unsupported: a stiffness is so far above
-    that of the bodies that rounding hides whether a contact goes on.
+    that of the bodies that rounding hides the signs of rates.
 
     Parameters
     ----------
@@ -413,9 +412,7 @@ def follow_on_springs(
 
 
 def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: str) -> None:
-    """Raise for springs too stiff: rates of forces are differences of motions times the stiffness, and a path
-    follows signs of rates.
-    """
+    """Raise Unsupported for springs too stiff: rates of forces are small differences of motions times the stiffness."""
     own = default_penalty(problem, problem.normal, 1.0)
     ratio = np.broadcast_to(np.asarray(stiffness, dtype=float), own.shape) / own
     if np.any(ratio > STIFFEST):
@@ -428,15 +425,15 @@ def _refuse_rigid(problem: ContactProblem, name: str, stiffness: Any, option: st
 
 @dataclass(frozen=True, eq=False)
 class _WithoutSprings:
-    """One instant of the bodies without the springs with which they were followed."""
+    """One instant of the bodies without springs."""
 
     problem: ContactProblem
     on_springs: Sequence[Solution]
     instant: int
-    name: str  # of the method
+    name: str  # the options of the method
 
     def finish(self) -> Solution:
-        """Return what the method itself makes of the instant, certified."""
+        """Return the method's certified answer at the instant."""
         on_springs, n = self.on_springs[self.instant], self.problem.dimension
         whole = on_springs.problem
         with self.problem.lock, one_blas_thread(self.problem):

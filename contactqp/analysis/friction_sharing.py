@@ -1,14 +1,14 @@
-"""Contacts with friction, and ties, whose rows depend on one another: what they exert is unique, how they share it not.
+"""Compute rates for contacts with friction and ties whose rows are dependent, so that only their resultant is unique.
 
-Two walls that hold one node are such, or a tie across a floor on which a node sticks. The forces that balance an answer
-are a polyhedron then (in space between two polyhedra): cones of contacts that stick or slip, which exert what is left
-of the load. Rates of the displacement are unique where all combinations of open, stick and slip that can exert it, and
-go on doing so along the direction, lead to the same: those are found by linear programs of one group of contacts each
+Examples are two walls that hold one node, or a tie along a floor on which a node sticks. The forces that balance an
+answer then form a polyhedron (in space between two polyhedra) of sums over cones of sticking or slipping contacts.
+Rates of the displacement are unique if they are the same for all combinations of open, stick and slip that can exert
+the resultant and continue to do so along the direction. These are found by linear programs for each group of contacts
 (`contactqp.analysis.friction_groups`).
 
-As many rows as are independent then have the rates of all, and bounds of their errors, where the others hold at these
-rates to twice double precision. That supposes an answer in which all groups can exert their forces in the midst of
-their cones, and all other contacts are in their states beyond what refinement leaves.
+A maximal set of independent rows then has the rates of all, with error bounds, if the other rows are satisfied to twice
+double precision. This requires that all groups can exert their forces strictly inside their cones, and that all other
+contacts satisfy their states beyond the errors of refinement.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 
-# Rates that differ by this part of a combination's signs, or of what its system leaves open, are many.
+# Rates that differ by more than this relative amount are not unique.
 SEEN = 1e-6
 
 
 class FrictionSharing:
-    """The groups of contacts with friction that share forces, and the combinations of states that can exert them.
+    """The groups of contacts with friction that share forces, and their possible combinations of states.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class FrictionSharing:
     Attributes
     ----------
     members : contacts that share forces
-    is_steady : whether all combinations that can exert the forces hold the same motions, and so go on doing so
+    is_steady : whether all possible combinations constrain the same motions, and thus stay possible
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class FrictionSharing:
         self.is_steady = all(g.is_steady(found) for g, found in zip(self._groups, self._choices, strict=True))
 
     def _places(self) -> Iterator[Indices]:
-        """Yield the places of rows that depend on one another, group by group."""
+        """Yield the indices of dependent rows, group by group."""
         projector = abs(self.null @ self.null.T) > NOTHING
         same = (self._cones.owners[:, None] == self._cones.owners[None, :]) & np.any(projector, axis=1)[:, None]
         _, of = connected_components(sp.csr_array(projector | same), directed=False)
@@ -90,7 +90,7 @@ class FrictionSharing:
             yield np.flatnonzero(of == group)
 
     def moves(self, system: RateSystem) -> bool:
-        """Return whether a system without inverse leaves displacements free, not forces alone."""
+        """Return whether the null space of a singular system contains displacements, not only forces."""
         zero = Direction.zero(self._problem)
         for part in [] if system.regular else system.unresolved():
             rates = system.of_parts(zero, part, None, zero.slip_origin)
@@ -99,7 +99,7 @@ class FrictionSharing:
         return False
 
     def only(self, of: str) -> bool:
-        """Return whether forces of one kind are the same however they are shared."""
+        """Return whether forces of one kind are the same for all distributions."""
         free = np.any(self.null != 0, axis=1)
         first = np.r_[True, self._cones.owners[1:] != self._cones.owners[:-1]]
         slides = np.array([i in self._cones.along for i in self._cones.owners], dtype=bool)
@@ -109,17 +109,17 @@ class FrictionSharing:
 
     @property
     def steady(self) -> Status:
-        """Return states (m,) in which the contacts that share forces hold all that they can."""
+        """Return states (m,) in which the contacts that share forces constrain as many motions as possible."""
         status = self._status.copy()
         for group, choices in zip(self._groups, self._choices, strict=True):
             status[group.contacts] = min(choices, key=lambda choice: sum(state == OPEN for state in choice))
         return status
 
     def answer(self, system: RateSystem) -> Solved | None:
-        """Return the answer beyond doubles, on as many rows as are independent; None where it is not seen to be that.
+        """Return the answer beyond doubles on independent rows, None if it is not confirmed.
 
-        Groups exert their forces in the midst of their cones then, and all other contacts are in their states beyond
-        what refinement leaves. That is not told of slips in space, whose friction turns.
+        It is confirmed if groups exert their forces strictly inside their cones, and all other contacts satisfy their
+        states beyond the errors of refinement; slips in space, whose friction turns, are not covered.
         """
         problem, status = self._problem, system.status
         known = None if system.turns or not system.regular else system.answer()
@@ -135,9 +135,9 @@ class FrictionSharing:
         return known if sure and parts_from(problem, known, self._touching, system.closed) else None
 
     def reach(self, rates: Rates) -> float:
-        """Return the largest step along rates in the plane to which contacts can share what they are to exert.
+        """Return the largest step along rates in the plane up to which groups can exert their resultants.
 
-        What slips does not turn back on the way.
+        Slips do not change their direction within it.
         """
         status = rates.status
         slides = np.array([i for i in self.members if i in self._cones.along and status[i] != OPEN], dtype=np.intp)
@@ -148,7 +148,8 @@ class FrictionSharing:
     def events(
         self, rates: Rates, now: StateMargins, edges: Indices, rests: Indices, at_bound: Indices
     ) -> Iterator[float]:
-        """Yield the steps along rates in the plane at which contacts leave their states, or cannot share their forces.
+        """Yield the steps along rates in the plane at which contacts leave their states, or groups cannot exert their
+        resultants.
 
         Parameters
         ----------
@@ -164,7 +165,7 @@ class FrictionSharing:
         yield from steps_to_events(self._cones.mu[others], rates.status[others], now, along, *places)
 
     def turns_alike(self, direction: Direction, status: Status) -> bool:
-        """Return whether what forces do along a direction, and as slips turn, is the same in all ways to share.
+        """Return whether the effect of forces along a direction, and as slips turn, is the same for all distributions.
 
         Parameters
         ----------
@@ -203,7 +204,7 @@ class FrictionSharing:
         self, direction: Direction, system: RateSystem | None, borders: Borders,
         system_of: Callable[[Status], RateSystem], rates_of: Callable[[RateSystem, Direction], Rates],
     ) -> tuple[Rates, Rates]:  # fmt: skip
-        """Return the rates towards minus and plus a direction; those of forces are of one way to share them.
+        """Return the rates along minus and plus a direction, with one distribution of forces.
 
         Raises NoRates: there are none, or several.
 
@@ -228,9 +229,9 @@ class FrictionSharing:
         self, along: Direction, borders: Borders, system_of: Callable[[Status], RateSystem],
         rates_of: Callable[[RateSystem, Direction], Rates],
     ) -> Rates:  # fmt: skip
-        """Return the rates in the plane to which all combinations of states lead that go on exerting the forces.
+        """Return the common rates in the plane of all combinations of states that continue to exert the resultants.
 
-        Those of the combination that does so furthest, with a bound of how far all are from these.
+        These are the rates of the combination that does so furthest, with a bound of the differences of the others.
 
         Raises NoRates: there are none, or several, or too many combinations.
 
@@ -268,7 +269,9 @@ class FrictionSharing:
         return replace(furthest, shared=True, bound=replace(furthest.bound, displacement=np.max(apart, axis=0)))
 
     def _combinations(self, along: Direction, others: list[Status]) -> Iterator[Status]:
-        """Yield states (m,) in which all groups exert their forces and may move so, with each of other contacts."""
+        """Yield states (m,) in which all groups can exert their resultants and move, with each choice for other
+        contacts.
+        """
         pairs = zip(self._groups, self._choices, strict=True)
         choices = [[choice for choice in found if group.may_move(choice, along)] for group, found in pairs]
         if self._cones.in_space or len(others) * prod(map(len, choices)) > MOST_COMBINATIONS or not all(self._choices):
@@ -280,7 +283,7 @@ class FrictionSharing:
             yield status
 
     def _hold(self, status: Status, rates: Rates, along: Direction) -> bool:
-        """Return whether contacts that share forces go on as their states say at rates along a direction."""
+        """Return whether contacts that share forces keep their states at rates along a direction."""
         gaps = self.scales.of("gap", rates.gap)
         slips = self.scales.of("slip", rates.slip)
         nothing = SAME * self.scales.largest(rates)
@@ -295,7 +298,7 @@ class FrictionSharing:
 def _on_independent(
     system: RateSystem, rates: Rates, direction: Direction, rates_of: Callable[[RateSystem, Direction], Rates]
 ) -> Rates:
-    """Return rates of a system without inverse from as many of its rows as are independent, with bounds if these hold.
+    """Return rates of a singular system from independent rows, with bounds if the other rows are satisfied.
 
     Parameters
     ----------
@@ -310,9 +313,9 @@ def _on_independent(
 
 
 def states_hold(problem: ContactProblem, status: Status, known: Solved, slip: Array, contacts: Indices) -> bool:
-    """Return whether some contacts push, stick and slip as their states say, beyond what an answer may be off by.
+    """Return whether contacts satisfy their states by more than the error of the answer.
 
-    In the plane slips have the sign of their states, in space those of a refined answer go along its friction.
+    In the plane slips have the sign of their states; in space those of a refined answer are along its friction.
 
     Parameters
     ----------
@@ -339,7 +342,7 @@ def among_states(
     borders: Borders, direction: Direction, system_of: Callable[..., RateSystem],
     rates_of: Callable[[RateSystem, Direction], Rates],
 ) -> Rates:  # fmt: skip
-    """Return the rates of the one combination of states that contacts at a border may go to and that they lead to.
+    """Return the rates of the only possible combination of states of contacts at a border that agrees with its rates.
 
     Raises NoRates: there are none, or several, or forces are not unique.
 
@@ -370,10 +373,10 @@ def among_states(
 def refuse_many(
     borders: Borders, system: RateSystem, direction: Direction, rates_of: Callable[[RateSystem, Direction], Rates]
 ) -> None:
-    """Raise `NoRates` where many rates may continue the answer in a combination whose system has no inverse.
+    """Raise `NoRates` if several rates may continue the answer in a combination with a singular system.
 
-    Those rates x + N z, N what the system leaves open, whose signs s(x) + s(N) z lead to where it says are a
-    polyhedron: forces are not unique where s(N) z >= 0 has solutions, or where it is more than a point.
+    The rates x + N z, with the null space N of the system, whose signs s(x) + s(N) z agree with the combination form a
+    polyhedron. Forces are not unique if s(N) z >= 0 has nonzero solutions, or if it is more than a point.
 
     Parameters
     ----------
@@ -395,7 +398,7 @@ def refuse_many(
         found = rates_of(system, direction)
     except NoRates:
         return
-    places = system.closed, system.stuck  # those that fit best may be no rates
+    places = system.closed, system.stuck  # least-squares solutions may not be rates
     if missed(problem, borders.scales, found, direction, places) > SEEN:
         return
     signs = borders.signs(found, direction, system)

@@ -1,9 +1,9 @@
-"""One step of a load path with friction: the slip of every contact counts from where it was, or from where it closed.
+"""Compute one step of a load path with friction, with slip from each contact's previous position, or where it closed.
 
-A contact that was closed before the step is anchored at its E_T u of then. One that closes within the step is anchored
-at its E_T u at the fraction of the step at which its gap reaches zero: contacts without an anchor are constrained to
-stay open, and where they overlap at the end of the step, the first load at which one of them touches is searched for.
-Between loads at which no other contact changes its state gaps are linear, and the secant finds that load exactly.
+A contact that was closed before the step is anchored at its previous E_T u. One that closes within the step is anchored
+at its E_T u at the fraction of the step at which its gap reaches zero: contacts without an anchor are held open, and if
+they overlap at the end of the step, the first load at which one of them touches is computed. Gaps are linear while no
+contact changes its state, so that the secant method finds that load exactly.
 
 The equilibria of a step come from Newton's method on the condensed contact unknowns (`PlaneStepper`), or from `solve`.
 """
@@ -34,52 +34,51 @@ from contactqp.solving.friction_runs import run_on_combination
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
 
-# Loads tried for one closing: bisection takes over where the secant does not shrink its bracket.
+# The most loads tried for one closing; bisection is used if the secant does not reduce its bracket.
 MOST_LOADS = 60
-# A bracket of this part of the leg holds a jump: no load shows the contact touching.
+# The relative bracket below which the contact jumps without touching at any load.
 JUMP = 1e-13
-# Loads of one step under which algorithms found no answer before the search for where contacts close is given up: each
-# of them has then tried everything, which takes many times as long as an answer.
+# The most loads of one step without an answer before the search for closings ends, as failures are much slower than
+# answers.
 MOST_FAILED = 2
-# Halvings of a step towards a load that the bodies without the contacts that are to close still hold.
+# The most halvings of a step towards a load that is carried without the closing contacts.
 HALVINGS = 30
-# A gap of this part of the lengths that meet is rounding.
+# Gaps below this part of the lengths at the contact are rounding.
 TOUCHING = 1e-12
-# A slip of this part of the lengths that meet is rounding of these.
+# Slips below this part of the lengths at the contact are rounding.
 STILL = EPS
-# Gaps of contacts that are held open are widened by this factor where a solver cannot leave a contact out, and again
-# by it where one closes all the same, so many times.
+# The factor by which gaps of contacts held open are widened if a solver cannot omit contacts, repeatedly if one still
+# closes, and the most repetitions.
 WIDENED = 1e3
 WIDENINGS = 3
-# Displacements that differ by this part of the largest are one.
+# Displacements that differ by less than this part of the largest are equal.
 SAME = 1e-8
-# Positions are refined where the contacts would move so many times as far without their forces: digits cancel there.
+# Positions are refined if contacts would move so many times as far without their forces, by cancellation.
 CANCELS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One equilibrium along a path, as far as the next one depends on it."""
+    """The data of an equilibrium along a path on which the next step depends."""
 
-    fraction: float  # of the leg
+    fraction: float  # fraction of the leg
     gap: Vector  # (m,) g - E_N u [length]; negative at contacts that were held open and overlap
     position: Array  # (m, d-1) E_T u [length]
-    pushes: Mask  # (m,) which carry a force
-    slides: Mask  # (m,) which of them slip
-    touching: Mask  # (m,) closed, or with no gap but rounding
-    overlap: Mask  # (m,) held open, and too far in to be rounding
+    pushes: Mask  # (m,) contacts with a force
+    slides: Mask  # (m,) those that slip
+    touching: Mask  # (m,) closed, or with a gap of rounding size
+    overlap: Mask  # (m,) held open, with an overlap beyond rounding
     step: Unfinished
-    cancelled: bool = False  # whether the positions have lost digits
-    origin: Array | float = 0.0  # (m, d-1) where slips were counted from [length]
-    still: Array | float = 0.0  # (m, d-1) the slips that are rounding [length]
-    early: Mask | bool = False  # (m,) anchored by a guess, since no answer was found where they close
+    cancelled: bool = False  # whether the positions lost digits
+    origin: Array | float = 0.0  # (m, d-1) slip origins [length]
+    still: Array | float = 0.0  # (m, d-1) the rounding of slips [length]
+    early: Mask | bool = False  # (m,) with assumed anchors, since no answer was found where they close
 
     @cached_property
     def settled(self) -> Array:
-        """Return the positions (m, d-1) from which contacts slip on [length], of the refined answer where digits are
-        lost.
+        """Return the positions (m, d-1) [length] as the next slip origins, from the refined answer if digits are lost.
 
-        A slip that is rounding leaves a contact where it was: of contacts that share a motion, all would slip by it.
+        Slips of rounding size are omitted, as otherwise all contacts that share a motion would slip.
         """
         reached = self._reached
         return np.where(abs(reached - self.origin) <= self.still, self.origin, reached)
@@ -90,7 +89,7 @@ class State:
             return self.position
         try:
             solution = self.step.finish()
-        except ContactQPError:  # which the step will raise where it is asked for
+        except ContactQPError:  # raised again by the step when it is finished
             return self.position
         tangent: Any = solution.problem.tangent
         return np.asarray((tangent @ solution.displacement).reshape(self.position.shape))
@@ -109,13 +108,13 @@ class Anchors:
 
 
 class _Attempts:
-    """The equilibria of one step from slip origins that stay, and how many of them no algorithm found."""
+    """The equilibria of one step from fixed slip origins, and the number of loads without an answer."""
 
     def __init__(self, solve: Solve) -> None:
         self._solve, self.failed = solve, 0
 
     def __call__(self, fraction: float, *, origin: Array, held_open: Mask) -> State | None:
-        """Return the state, or None where the bodies without these contacts have no equilibrium that is found."""
+        """Return the state, None if no equilibrium without these contacts was found."""
         if self.failed >= MOST_FAILED:
             return None
         try:
@@ -130,10 +129,11 @@ class _Attempts:
 def step_to(
     fraction: float, before: State, anchors: Anchors, solve: Solve, refuse: Callable[[float], None] = lambda _: None
 ) -> State:
-    """Return the state at a fraction of the leg, with contacts that close within the step anchored where they do.
+    """Return the state at a fraction of the leg, with contacts that close within the step anchored where they close.
 
-    Where too many loads within it have no answer that algorithms find, the others are anchored `early`.
-    Raises NoEquilibrium, SeveralEquilibria, NotConverged: of the solve at the end of the step, all contacts anchored.
+    If too many loads within the step have no answer, the remaining contacts are anchored `early`.
+    Raises NoEquilibrium, SeveralEquilibria, NotConverged: from the solution at the end of the step with all contacts
+    anchored.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def step_to(
             origin[closing] = touched.settled[closing]
             anchored, early, low = anchored | closing, early | (closing & touched.early), touched
         if touched is None or attempt.failed >= MOST_FAILED:
-            # What moves freely until it is stopped has no place where it closes; it is anchored where the step began.
+            # # Contacts of bodies that move freely until stopped are anchored at the start of the step.
             early |= ~anchored & (attempt.failed >= MOST_FAILED)
             anchored[:] = True
 
@@ -167,7 +167,7 @@ def step_to(
 def _first_touch(
     low: State, high: State | None, fraction: float, solve: Callable[[float], State | None]
 ) -> State | None:
-    """Return the first state after `low` in which a contact without an anchor touches, or None for a free motion."""
+    """Return the first state after `low` in which a contact without anchor touches, None for a free motion."""
     if high is None:
         low, high = _furthest(low, fraction, solve)
         if high is None:
@@ -192,7 +192,7 @@ def _first_touch(
 
 
 def _secant(low: State, high: State) -> float:
-    """Return where the first of the gaps that are negative at `high` vanishes if all are linear in between."""
+    """Return the fraction at which the first of the gaps negative at `high` vanishes by linear interpolation."""
     falls = high.overlap & (low.gap > high.gap)
     if not np.any(falls):
         return (low.fraction + high.fraction) / 2
@@ -201,10 +201,10 @@ def _secant(low: State, high: State) -> float:
 
 
 def _furthest(low: State, fraction: float, solve: Callable[[float], State | None]) -> tuple[State, State | None]:
-    """Return a state without overlap, and one with it, between `low` and a fraction that has no equilibrium."""
+    """Return states without and with overlap between `low` and a fraction without equilibrium."""
     beyond, least = fraction, low.fraction + 2.0**-HALVINGS * (fraction - low.fraction)
     for halvings in range(HALVINGS + 1):
-        at = (low.fraction + beyond) / 2 if halvings else least  # what the least load drives is driven by all
+        at = (low.fraction + beyond) / 2 if halvings else least  # a motion driven by the smallest load is driven by all
         here = solve(at)
         if here is None and not halvings:
             return low, None
@@ -218,7 +218,7 @@ def _furthest(low: State, fraction: float, solve: Callable[[float], State | None
 
 
 class Stepper(Protocol):
-    """What finds the equilibria along one leg after the other."""
+    """The interface for computing equilibria along the legs of a path."""
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
@@ -232,7 +232,7 @@ class Stepper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class UncertifiedStep:
-    """An answer on the contact unknowns that is neither refined nor certified yet."""
+    """An answer on the contact unknowns before refinement and certification."""
 
     problem: ContactProblem  # with the load and the slip origin of the step
     system: ForceSystem
@@ -243,7 +243,7 @@ class UncertifiedStep:
     meter: Meter
 
     def finish(self) -> Solution:
-        """Refine, expand and certify the answer, once; raise NotCertified where the certificate refuses it."""
+        """Refine, expand and certify the answer once; raise NotCertified if the certificate refuses it."""
         return self._finished
 
     @cached_property
@@ -257,7 +257,7 @@ class UncertifiedStep:
 
 @dataclass(frozen=True, eq=False)
 class SolvedStep:
-    """A solution that is certified already."""
+    """A certified solution."""
 
     solution: Solution
 
@@ -267,15 +267,15 @@ class SolvedStep:
 
 
 class PlaneStepper:
-    """Newton's method on the condensed unknowns of a plane problem; its factors serve all steps.
+    """Newton's method on the condensed unknowns of a plane problem, with one factorisation for all steps.
 
-    Where Newton fails, what `solve` falls back to.
+    If it fails, the fallbacks of `solve` are used.
     """
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem = problem
         self._otherwise = SolveStepper(problem, method, options)
-        self._meter = Meter(problem)  # of the step to come: the first one pays for the factorisation
+        self._meter = Meter(problem)  # of the next step; the first one includes the factorisation
         with self._meter.running():
             self._condensation = condense(problem)
         self._system = ForceSystem(problem, self._condensation)
@@ -305,8 +305,8 @@ class PlaneStepper:
     def accept(self, state: State) -> State:
         """Return the state as a step of the path; the next solve starts from its combination of states.
 
-        Contacts that touch without force start as sticking ones: bodies that lie on them alone are held by nothing
-        else, and a gap that is rounding would leave them without an equilibrium.
+        Contacts that touch without force start as sticking, as bodies may be held by them only, and a gap of rounding
+        size would leave these without an equilibrium.
         """
         self._meter = Meter(self._problem)
         if not isinstance(state.step, UncertifiedStep):
@@ -346,14 +346,14 @@ class PlaneStepper:
 
 
 class SolveStepper:
-    """Equilibria by `solve`: for two tangential directions a contact, bodies that are not factorised, and methods or
-    algorithms that the caller chooses.
+    """Equilibria by `solve`, for two tangents per contact, bodies that are not factorised, and chosen methods or
+    algorithms.
     """
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem, self._method, self._options = problem, method, options
         self._before: Solution | None = None
-        self._steps: tuple[tuple[float, Solution], ...] = ()  # the last two of this leg, with their fractions
+        self._steps: tuple[tuple[float, Solution], ...] = ()  # the last two solutions of this leg, with their fractions
 
     def turn(self, start: Vector, end: Vector) -> None:
         """Begin the leg from one corner of the load to the next."""
@@ -365,7 +365,7 @@ class SolveStepper:
         if np.all(held_open):
             self._driven = self._driven or _drives(problem, held_open)
             if self._driven:
-                self._driven = not np.any(self._leg[0])  # then all loads of the leg are parts of one
+                self._driven = not np.any(self._leg[0])  # then all loads of the leg are proportional
                 raise NoEquilibrium("the load drives a body whose contacts are held open")
         if np.any(held_open) and self._stay_open(fraction, held_open):
             found = self._as_stated(problem, fraction, held_open)
@@ -375,14 +375,15 @@ class SolveStepper:
             solution = self._solved(widened, self._predicted(fraction))
             if not np.any(solution.normal_force[held_open] > 0):
                 return _state_of(problem, solution, fraction, held_open)
-            if _drives(problem, held_open):  # as far as any gap lets it
+            if _drives(problem, held_open):  # limited by the gaps
                 raise NotConverged("the load drives a body to contacts that are held open")
         raise NoEquilibrium("a contact that is held open closes")
 
     def accept(self, state: State) -> State:
         """Return the state as a step of the path, with the gaps of the problem; the next solve starts from it.
 
-        Raises NotConverged: contacts that do not reach their obstacle make a difference; there are several equilibria.
+        Raises NotConverged: the result depends on contacts that do not reach their obstacle; there are several
+        equilibria.
         """
         self._before = found = state.step.finish()
         gap = self._problem.gap
@@ -396,9 +397,10 @@ class SolveStepper:
         return replace(state, step=SolvedStep(solution))
 
     def _stay_open(self, fraction: float, held_open: Mask) -> bool:
-        """Say whether contacts keep a gap on the line through the last two steps of the leg, as far as there are two.
+        """Return whether contacts keep a gap by linear extrapolation from the last two steps of the leg, if there are
+        two.
 
-        Then the problem is solved with its own gaps, which `accept` would have to do again after wider ones.
+        Then the problem is solved with its actual gaps, which saves a second solution in `accept`.
         """
         if len(self._steps) < 2:
             return True
@@ -408,7 +410,7 @@ class SolveStepper:
         return bool(np.all(gap + (fraction - second) / (second - first) * moved > 0))
 
     def _as_stated(self, problem: ContactProblem, fraction: float, held_open: Mask) -> State | None:
-        """Return the equilibrium with the gaps of the problem, or None where contacts that are held open close."""
+        """Return the equilibrium with the gaps of the problem, None if contacts held open close."""
         try:
             solution = self._solved(problem, self._predicted(fraction))
         except (NoEquilibrium, SeveralEquilibria, NotConverged, NotCertified):
@@ -418,7 +420,7 @@ class SolveStepper:
         return None if closes else _state_of(problem, solution, fraction, held_open)
 
     def _predicted(self, fraction: float) -> Solution | None:
-        """Return the last step with its forces continued along the line through the last two steps of the leg."""
+        """Return the last step with forces extrapolated linearly from the last two steps of the leg."""
         if len(self._steps) < 2:
             return self._before
         (first, earlier), (second, before) = self._steps
@@ -440,7 +442,7 @@ def between(start: Vector, end: Vector, fraction: float) -> Vector:
 
 
 def _drives(problem: ContactProblem, held_open: Mask) -> bool:
-    """Say whether the load drives a body that no other contacts hold: it would move until one of these closes."""
+    """Return whether the load drives a body held by no other contacts, which would move until one of these closes."""
     if iterated(problem) or contacts_are_many(problem):
         return False
     others = problem.with_contacts(np.flatnonzero(~held_open))
@@ -448,7 +450,7 @@ def _drives(problem: ContactProblem, held_open: Mask) -> bool:
 
 
 def _widened(problem: ContactProblem, held_open: Mask) -> Iterator[ContactProblem]:
-    """Yield the problem with these contacts far away, and farther and farther where they may still close."""
+    """Yield the problem with these contacts far away, at increasing distances."""
     if not np.any(held_open):
         yield problem
         return
@@ -460,9 +462,9 @@ def _widened(problem: ContactProblem, held_open: Mask) -> Iterator[ContactProble
 
 
 def widening(gap: Vector, largest: float, compliance: Vector, pulled: float) -> Vector:
-    """Return by how much gaps are widened at first (m,): 1e3 (|g| + max |g| + |E_i D| max_j D_j |f_j|) [length].
+    """Return the first widening of gaps (m,): 1e3 (|g| + max |g| + |E_i D| max_j D_j |f_j|) [length].
 
-    What the load moves counts too: gaps may all be zero, and contacts that have opened close again.
+    The displacement by the load is included, as gaps may all be zero and open contacts may close again.
 
     Parameters
     ----------
