@@ -419,8 +419,7 @@ class Borders:
         self, law: SlipLaw, system: RateSystem, known: Solved, begins: Indices,
         rates: tuple[Rates | None, Vector | None],
     ) -> None:  # fmt: skip
-        """Set the friction law of a system in space from the answer beyond doubles, and for contacts that begin to
-        slip.
+        """Set the friction law in space from the answer beyond doubles, and that of contacts that begin to slip.
 
         Parameters
         ----------
@@ -444,8 +443,7 @@ class Borders:
         system.law = law
 
     def signs(self, found: Rates, direction: Direction, system: RateSystem, errors: bool = False) -> Vector:
-        """Return the quantities (or their errors) that are nonnegative if rates lead undecided contacts to the states
-        of a system.
+        """Return quantities, or errors, that are nonnegative if rates lead undecided contacts to a system's states.
 
         Parameters
         ----------

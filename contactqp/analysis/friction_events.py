@@ -438,9 +438,7 @@ def _named(problem: ContactProblem, contacts: Indices) -> str:
 
 @dataclass(frozen=True, eq=False)
 class StateMargins:
-    """The quantities that determine contact states, or their rates: gaps (m,), forces (m,), friction and slips (m,
-    d-1).
-    """
+    """Quantities that determine contact states, or rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
 
     gap: Vector
     push: Vector

@@ -346,9 +346,7 @@ class PlaneStepper:
 
 
 class SolveStepper:
-    """Equilibria by `solve`, for two tangents per contact, bodies that are not factorised, and chosen methods or
-    algorithms.
-    """
+    """Equilibria by `solve`, for two tangents per contact, unfactorised bodies, and chosen methods or algorithms."""
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self._problem, self._method, self._options = problem, method, options

@@ -1,12 +1,12 @@
-"""Gradients of what is made of an answer, by all entries of a parameter at once, and bounds of their errors.
+"""Compute gradients of a function of an answer by all entries of a parameter at once, with error bounds.
 
-A gradient of weights z . quantity takes the transposed system of the rates, with z on the quantity in place of the
-direction. Its displacement and forces y are the gradients by load, gaps, slip origins and tie values; that by K is
--(y u' + u y')/2, on the pattern of K, and those by rows and coefficients are such products, too.
+The gradient of weights z . quantity follows from the transposed (adjoint) system of the rates, with z on the quantity
+as the right-hand side. Its displacement and forces y are the gradients by load, gaps, slip origins and tie values; that
+by K is -(y u' + u y')/2 on the pattern of K, and those by rows and coefficients are similar products.
 
-Bounds are those of rates. Weights on a gap, a slip, a reaction or the energy come to the system by products with rows
-or the stiffness: what doubles lack of these is solved for. Products of y with the answer take both from the same
-refinement, and every number carries what it may be off by (`Estimate`).
+Bounds are those of rates. Weights on a gap, a slip, a reaction or the energy enter by products with rows or the
+stiffness, whose rounding error is included as a correction of the solution. Products of y with the answer use the same
+refinement for both, and every number has an error bound (`Estimate`).
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution
 
-# Entries of a pattern that are filled at a time: what they are made of stays in a processor's cache.
+# Entries of a pattern computed at a time, so that the data fit into the cache.
 AT_ONCE = 2**14
 
 
 class Bounded(tuple[Any, Any]):
-    """A gradient or a Jacobian, and what its entries may be off by; `bound_reason` says why that is None, if it is."""
+    """A gradient or a Jacobian with error bounds of its entries; `bound_reason` is the reason if they are None."""
 
     bound_reason: str
 
     @classmethod
     def of(cls, value: Any, bound: Any, reason: str) -> Bounded:
-        """Return the pair; the reason is kept where there is no bound."""
+        """Return the pair, with the reason if there is no bound."""
         pair = cls((value, bound))
         pair.bound_reason = reason if bound is None else ""
         return pair
 
     @classmethod
     def of_rows(cls, rows: list[tuple[Any, Any]], reasons: list[str], shape: tuple[int, int]) -> Bounded:
-        """Return a matrix and that of its bounds, None where a row has none.
+        """Return a matrix with its bounds, None if a row has none.
 
         Parameters
         ----------
@@ -63,14 +63,14 @@ class Bounded(tuple[Any, Any]):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """An array, and what its entries may be off by, entry by entry; None where that is not asked for or not known."""
+    """An array with error bounds of its entries, None if not requested or unknown."""
 
     value: Array
     error: Array | None
 
     @classmethod
     def exactly(cls, value: Any) -> Estimate:
-        """Return numbers that are what they are."""
+        """Return exact numbers."""
         return cls(np.asarray(value, dtype=float), np.zeros(np.shape(value)))
 
     def __add__(self, other: Estimate) -> Estimate:
@@ -106,7 +106,7 @@ class Estimate:
 
 
 def _rounded(error: Array, size: Array) -> Array:
-    """Return an error with the rounding of numbers of a size, and its own."""
+    """Return an error increased by the rounding of numbers of a size, and its own rounding."""
     return np.asarray(error * (1 + 8 * EPS) + EPS * abs(size))
 
 
@@ -126,9 +126,9 @@ class _Estimates:
 
 
 def gradient(linearised: Linearised, of: str, weights: Array, parameter: str, bounded: bool = False) -> Estimate:
-    """Return the gradient of weights . quantity by a parameter, and its bound where that is asked for and known.
+    """Return the gradient of weights . quantity by a parameter, with its bound if requested and known.
 
-    That by stiffness or rows has sparse matrices of their pattern in the places of arrays.
+    Gradients by stiffness or rows are sparse matrices of their pattern instead of arrays.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def gradient(linearised: Linearised, of: str, weights: Array, parameter: str, bo
     Raises
     ------
     InvalidProblem
-        The derivative has two sides, or does not exist.
+        The derivative is one-sided, or does not exist.
     """
     problem = linearised.problem
     answer, given = _answer(linearised, bounded), Estimate.exactly(weights)
@@ -179,12 +179,12 @@ def value_of(solution: Solution, of: str) -> Any:
 
 
 def idle_ties(problem: ContactProblem) -> Mask:
-    """Return which ties (k,) are rows of zeros, whose force is none whatever the parameters."""
+    """Return the ties (k,) with rows of zeros, whose force is always zero."""
     return np.asarray(abs(problem.tie).sum(axis=1) == 0).ravel()
 
 
 def _answer(linearised: Linearised, bounded: bool) -> _Estimates:
-    """Return the answer, in doubles or, with bounds, as its refinement knows it."""
+    """Return the answer in doubles, or with bounds, the refined one."""
     solution, known = linearised.solution, linearised.extended_answer if bounded else None
     if known is not None and known.bound is not None:
         return _Estimates.of(known.found, known.bound)
@@ -195,7 +195,7 @@ def _answer(linearised: Linearised, bounded: bool) -> _Estimates:
 def _adjoint(linearised: Linearised, of: str, weights: Array, bounded: bool) -> _Estimates:
     """Return the solution of the transposed system.
 
-    Raises NoRates: refinement led nowhere.
+    Raises NoRates: refinement failed.
     """
     given, system = _weights(linearised, of, weights), linearised.system
     if system is None:
@@ -244,9 +244,9 @@ def _weights(linearised: Linearised, of: str, weights: Array) -> Parts:
 
 
 def _whole_weights(linearised: Linearised, of: str, weights: Array) -> tuple[tuple[Extended, Extended], Parts] | None:
-    """Return weights of displacements and normal forces in twice double precision, and what these are off by.
+    """Return weights of displacements and normal forces in twice double precision, and their errors.
 
-    None where the answer is not known so far.
+    None if the answer is not available in this precision.
     """
     problem, zero = linearised.problem, Parts.zero(linearised.problem)
     exact, u, normal = extended_rows(problem), extend(zero.displacement), extend(zero.normal)
@@ -306,14 +306,14 @@ def _by_law(
 
 
 def energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) -> tuple[float, float | None]:
-    """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and what it may be off by."""
+    """Return the rate of the energy, (Ku - f)'du - u'df + u'dK u / 2, and its error."""
     problem, solution, known = linearised.problem, linearised.solution, linearised.extended_answer
     du = rates.displacement
     if known is None or known.bound is None or rates.bound is None:
         half = float(-0.5 * solution.displacement @ direction.strained)
         return float(-value_of(solution, "reaction") @ du - solution.displacement @ direction.load) + half, None
     answer, off = known.found, known.bound
-    taken, error = np.zeros_like(du), np.zeros_like(du)  # what contacts and ties take of each unknown's load
+    taken, error = np.zeros_like(du), np.zeros_like(du)  # the part of each unknown's load carried by contacts and ties
     for rows, force, apart in (
         (problem.normal, answer.normal, off.normal), (problem.tie, answer.tie, off.tie),
         (problem.tangent, answer.tangent, off.tangent),
@@ -330,7 +330,7 @@ def energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) 
 
 
 def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:
-    """Return a sum of products of vectors that are off by some errors, (a, error, b, error), and what it is off by."""
+    """Return a sum of products of vectors with errors, (a, error, b, error), and its error."""
     total, size, error = 0.0, 0.0, 0.0
     for a, off_a, b, off_b in products:
         total += float(a @ b)
@@ -340,9 +340,9 @@ def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, fl
 
 
 def rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float, float | None]:
-    """Return the rate without friction, -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u, and what it is off by.
+    """Return the rate without friction, -u'df - l_N'dg - nu'db + u'dK u / 2 + l_N'dE_N u, and its error.
 
-    That is the envelope theorem.
+    This is the envelope theorem.
     """
     solution, known = linearised.solution, linearised.extended_answer
     if known is None or known.bound is None:
@@ -366,14 +366,14 @@ def rate_of_energy(linearised: Linearised, direction: Direction) -> tuple[float,
 
 
 def on_pattern(problem: ContactProblem, y: Estimate, u: Estimate) -> Estimate:
-    """Return (y u' + u y')/2 on the pattern of K, sparse where K is."""
+    """Return (y u' + u y')/2 on the pattern of K, sparse if K is."""
     half = Estimate.exactly(0.5)
     pairs = (half * y, u), (half * u, y)
     return on_entries(problem.stiffness_rows if sp.issparse(problem.stiffness) else None, pairs)
 
 
 def on_entries(rows: Any, pairs: tuple[tuple[Estimate, Estimate], ...]) -> Estimate:
-    """Return the sum of left right' of some pairs on the pattern of CSR rows, or everywhere where these are None."""
+    """Return the sum of left right' over pairs on the pattern of CSR rows, dense if these are None."""
     value, errors = _products(rows, [(left.value, right.value) for left, right in pairs]), []
     for left, right in pairs:
         if left.error is None or right.error is None:

@@ -1,9 +1,9 @@
-"""A sequence of solutions in time or along a load path, with its energies and its events.
+"""A sequence of solutions in time or along a load path, with energies and events.
 
-Solutions are certified on first access (`LazySolutions`). The events of a frictionless leg are found exactly: while no
-contact changes its state, displacements and forces are linear in the load. At a load where contacts have neither gap
-nor force, which of them close follows from the contact problem in rates: contacts that carry force stay closed, those
-without gap and force satisfy E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
+Solutions are certified at first access (`LazySolutions`). The events of a frictionless leg are found exactly: while no
+contact changes its state, displacements and forces are linear in the load. If contacts have neither gap nor force, the
+contact problem in rates decides which close: contacts with force stay closed, those without gap and force satisfy
+E_i v <= 0, l_i' >= 0, l_i' E_i v = 0.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from contactqp.model.solution import Solution
 from contactqp.model.summary import Printed, history_table, wrapped
 from contactqp.solving.methods import find
 
-# Two events nearer than this part of a leg are one: doubles cannot order them.
+# Events nearer than this part of a leg coincide, as doubles cannot order them.
 SIMULTANEOUS = 1e-12
 # Rates below this part of the largest are zero.
 STEADY = 1e-12
 JUMPS = "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
-# Subsets of simultaneous contacts that are tried one by one when the quick search does not settle.
+# The most subsets of simultaneous contacts tried if the quick search fails.
 TRIED_ONE_BY_ONE = 12
 
 
@@ -45,16 +45,16 @@ TRIED_ONE_BY_ONE = 12
 class Energies:
     """The energies of one instant [force * length].
 
-    On a path between whose instants all is linear (exact events), work = elastic + dissipated to rounding; in steps the
-    difference shrinks with the steps.
+    On a piecewise linear path (exact events), work = elastic + dissipated up to rounding; in steps the difference
+    decreases with the step size.
     """
 
     elastic: float  # 1/2 u'Ku, with contact springs also 1/2 l_N^2 / beta + 1/2 |l_T|^2 / beta_T
     kinetic: float
-    work: float  # of the loads since the start
-    dissipated: float  # by friction since the start: the sum of l_T . s, never negative on a load path
-    impact: float = 0.0  # taken by normal forces since the start, in motions; negative where a scheme creates energy
-    drift: float = 0.0  # total - total at the start - work + dissipated + impact: what the scheme makes of energy
+    work: float  # work of the loads since the start
+    dissipated: float  # by friction since the start: the sum of l_T . s, nonnegative on a load path
+    impact: float = 0.0  # lost by normal forces since the start, in motions; negative if a scheme creates energy
+    drift: float = 0.0  # total - total at the start - work + dissipated + impact, the energy error of the scheme
 
     @property
     def total(self) -> float:
@@ -66,17 +66,17 @@ class Energies:
 class Event:
     """A change of state of one contact."""
 
-    kind: str  # "closed", "opened", "stick" (a contact that slipped), "slip" (one that stuck, or that closes slipping)
+    kind: str  # "closed", "opened", "stick" (after slip), "slip" (after stick, or closing with slip)
     contact: int
     time: float  # pseudo-time of a load path, seconds in dynamics
     name: str = ""
 
 
 class History(ReadOnly, Printed, Sequence[Solution]):
-    """The solutions at `times`, the start included, and what happened between them.
+    """The solutions at `times`, including the start, and the events between them.
 
-    With friction each solution's problem has the slip origin of its step, E_T u of the instant before or where the
-    contact closed since; with contact springs, where their sliders were then.
+    With friction each solution's problem has the slip origin of its step, E_T u of the previous instant or where the
+    contact closed since; with contact springs, the previous positions of their sliders.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
     linear : bool, whether nothing changes its state between two instants
     """
 
-    time_label = "time [legs]"  # of `times` in tables
+    time_label = "time [legs]"  # label of `times` in tables
 
     def __init__(
         self,
@@ -108,36 +108,35 @@ class History(ReadOnly, Printed, Sequence[Solution]):
     def events(self) -> tuple[Event, ...]:
         """Return the changes of contact state, ordered by time.
 
-        "closed" and "opened" say that l_N > 0 begins and ends; "slip" that s = E_T u - slip_origin leaves zero, at a
-        contact that stuck or that closes; "stick" that a contact that slipped does so no more.
+        "closed" and "opened" are the beginning and end of l_N > 0, "slip" that of s = E_T u - slip_origin leaving zero,
+        at a sticking or closing contact, and "stick" the end of slip.
         """
         return tuple(self._find_events())
 
     @cached_property
     @own_floating_point
     def notes(self) -> tuple[str, ...]:
-        """Return where a step with friction has jumped, and where it has taken one of several answers.
+        """Return notes on steps with friction that jump, or take one of several answers.
 
-        Each step is followed again from event to event, in doubles unless these find something, for about a second or
-        as long as the steps took. "It jumps" says that no rates continue the path at the load that is named, a snap:
-        the step ends at an equilibrium beyond it. "It chooses" says that several do. Loads at which the certificate
-        found several equilibria (at most eight contacts) are named too. Exact events raise at such loads instead.
+        Each step is followed again from event to event, in doubles unless something is found, for about a second or as
+        long as the steps took. "It jumps" means that no rates continue the path at the named load (a snap), and that
+        the step ends at another equilibrium; "it chooses" means that several do. Loads at which the certificate found
+        several equilibria (at most eight contacts) are named too. With exact events, errors are raised instead.
         """
         return tuple(self._find_notes())
 
     @cached_property
     @own_floating_point
     def energies(self) -> tuple[Energies, ...]:
-        """Return the energies of every instant: elastic 1/2 u'Ku, the work of the loads, and what friction has
-        dissipated.
+        """Return the energies of every instant: elastic 1/2 u'Ku, work of the loads, and dissipation by friction.
 
-        Between exact events work = elastic + dissipated since the start. In steps, of which the friction at the end
-        counts, work is at least that: no step and no cycle of steps creates energy.
+        Between exact events work = elastic + dissipated since the start. In steps, with friction at their end, work is
+        at least that, so that no step or cycle of steps creates energy.
 
-        Friction does l_T . s at every contact, s = E_T u - slip_origin the slip of a step: with l_T at its end in
-        steps, with the mean of both ends between exact events. l_T is what the body does to the obstacle, along its
-        own slip, and l_T . s is never negative. With the contact springs of a penalty method s is the slip of their
-        sliders, E_T u - l_T / beta_T - slip_origin, and the springs store elastic energy too.
+        Friction dissipates l_T . s at every contact, with s = E_T u - slip_origin the slip of a step, and with l_T at
+        its end in steps, or the mean of both ends between exact events. l_T is the force of the body on the obstacle,
+        along its slip, so that l_T . s is not negative. With the contact springs of a penalty method s is the slip of
+        their sliders, E_T u - l_T / beta_T - slip_origin, and the springs store elastic energy too.
         """
         if self._find_energies is not None:
             return tuple(self._find_energies())
@@ -159,7 +158,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         return self._solutions[index]
 
     def __getattr__(self, name: str) -> Any:
-        """Say where what solutions have is to be found."""
+        """Raise AttributeError, with a hint if solutions have the attribute."""
         if not name.startswith("_") and (hasattr(Solution, name) or name in Solution.__dataclass_fields__):
             raise AttributeError(f"a {type(self).__name__} holds solutions; history[-1].{name} is that of the last one")
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -182,9 +181,7 @@ class History(ReadOnly, Printed, Sequence[Solution]):
         return read_only(np.array([solution.friction_force for solution in self]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Finish every solution and find events and notes, or the errors that they raise, before copying or
-        pickling.
-        """
+        """Finish every solution and compute events and notes, or their errors, before copying or pickling."""
         found: dict[str, Any] = dict(_solutions=finish_all(self._solutions), _find_events=_found(lambda: self.events))
         if self._find_energies is not None:
             found["_find_energies"] = _found(lambda: self.energies)
@@ -199,19 +196,21 @@ class History(ReadOnly, Printed, Sequence[Solution]):
 
     @checked
     def table(self, time_label: str = "") -> ContactTable[ContactRow]:
-        """Return time, status, normal force, friction and gap of every contact at every instant, a row each.
+        """Return time, status, normal force, friction and gap of every contact at every instant, one row each.
 
-        `time_label` is the heading of the column of times where the default does not say their unit: "time [ms]".
+        `time_label` is the heading of the column of times, if the default lacks the unit: "time [ms]".
         """
         return contact_table(self, self.times.tolist(), time_label or self.time_label)
 
     @checked
     def write_csv(self, file: str | Path, time_label: str = "") -> None:
-        """Write `table` to a file of comma-separated values; InvalidProblem where it cannot be written."""
+        """Write `table` to a file of comma-separated values; raise InvalidProblem if this fails."""
         self.table(time_label).write_csv(file)
 
     def summary(self) -> str:
-        """Return a table of instants, their largest forces, and events, as `print` shows; one solution is its own."""
+        """Return a table of instants with their largest forces, and of events, for `print`; for one solution, its
+        summary.
+        """
         if type(self) is History and len(self) == 1 and not self.notes:
             return self[0].summary()
         forces, events = self.normal_forces, self.events
@@ -221,14 +220,14 @@ class History(ReadOnly, Printed, Sequence[Solution]):
     def __str__(self) -> str:
         try:
             return self.summary()
-        except ContactQPError as error:  # of a step that is finished only now
+        except ContactQPError as error:  # raised by a step finished only now
             return f"{self!r}: {error}"
 
 
 def contact_changes(
     states: Iterable[tuple[Mask, Mask]], times: Iterable[float], name: Callable[[int], str]
 ) -> Iterator[Event]:
-    """Yield every change of contact state, at the first instant that shows it.
+    """Yield every change of contact state, at the first instant after it.
 
     Parameters
     ----------
@@ -246,9 +245,7 @@ def contact_changes(
 
 
 def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
-    """Return a function that gives the result again without computing it, or raises the error that finding it
-    raised.
-    """
+    """Return a function that returns the computed result, or raises its error again."""
     try:
         return partial(tuple, find())
     except ContactQPError as error:
@@ -258,9 +255,9 @@ def _found(find: Callable[[], Iterable[Any]]) -> Callable[[], Iterable[Any]]:
 def _static_energies(solutions: Sequence[Solution], linear: bool) -> Iterator[Energies]:
     """Return the energies of a quasi-static sequence.
 
-    The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact where nothing changes its state in between. In
-    steps with friction, whose dissipation is taken at their end, it is f_b'v - v'Kv/2, v = u_b - u_a: the same where
-    nothing changes its state, and elsewhere never less than what is stored and dissipated.
+    The work of the loads is the sum of (f_a + f_b)'(u_b - u_a)/2, exact if no contact changes its state in between. In
+    steps with friction, whose dissipation is evaluated at their end, it is f_b'v - v'Kv/2, v = u_b - u_a: the same if
+    no contact changes its state, and otherwise at least the stored and dissipated energy.
     """
     work = dissipated = 0.0
     for before, now in pairwise(chain(solutions[:1], solutions)):
@@ -279,7 +276,7 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
     """Return l_T . s with s = E_T u - slip_origin: l_T at the end of the step, or the mean of both ends on linear
     steps.
 
-    Coulomb's law, which the certificate holds, leaves no contact less than zero; what is less is rounding.
+    By Coulomb's law it is not negative; negative values are rounding.
     """
     force, slip = now.friction_force, now.slip
     if force is None or slip is None or before.friction_force is None:
@@ -290,25 +287,25 @@ def _friction_work(before: Solution, now: Solution, linear: bool) -> float:
 
 
 class Unfinished(Protocol):
-    """An answer that may still have to be refined, expanded and certified."""
+    """An answer that may need refinement, expansion and certification."""
 
     def finish(self) -> Solution:
-        """Refine, expand and certify the answer, unless that is done."""
+        """Refine, expand and certify the answer, unless this was done."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """An answer that was refused on first access, and is refused again."""
+    """An answer that was refused at first access."""
 
     error: ContactQPError
 
     def finish(self) -> NoReturn:
-        """Raise the error with which the answer was refused."""
+        """Raise the error of the refusal again."""
         raise self.error
 
 
 def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
-    """Return the solutions, all of them finished; those that are refused raise their error again on access."""
+    """Return the solutions, all finished; refused ones raise their error again on access."""
     kept: list[Unfinished | Solution] = []
     for k in range(len(solutions)):
         try:
@@ -319,10 +316,9 @@ def finish_all(solutions: Sequence[Solution]) -> Sequence[Solution]:
 
 
 class LazySolutions(Sequence[Solution]):
-    """Answers in order, each finished once, on first access; a slice is a list of finished solutions.
+    """A sequence of answers, each finished once at first access; a slice is a list of finished solutions.
 
-    What `finish` raises is raised on first access, and again the next time. The solution takes the place of the
-    finished answer, which is freed.
+    Errors of `finish` are raised at first access, and again later. The solution replaces the answer, which is freed.
     """
 
     def __init__(self, steps: Iterable[Unfinished | Solution] = ()) -> None:
@@ -353,7 +349,7 @@ class LazySolutions(Sequence[Solution]):
 
 @dataclass(frozen=True, eq=False)
 class OnAllRows:
-    """One solution of a history that was found without idle rows, extended to all rows on first access."""
+    """One solution of a history computed without idle rows, extended to all rows at first access."""
 
     rows: ActingRows
     history: History
@@ -381,13 +377,13 @@ class OnAllRows:
 
 
 def events_on_all_rows(rows: ActingRows, history: History) -> Iterator[Event]:
-    """Yield the events of a history without idle rows, with the numbers that contacts have among all rows."""
+    """Yield the events of a history without idle rows, with contact numbers among all rows."""
     return (replace(event, contact=int(rows.contacts[event.contact])) for event in history.events)
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The contacts at one instant: those that carry force, and those with neither gap nor force."""
+    """The contacts at one instant: those with force, and those with neither gap nor force."""
 
     fraction: float
     closed: Indices
@@ -427,7 +423,7 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
 
 
 def _decided(state: _State, chosen: Indices) -> list[Event]:
-    """Return the events at a state: undecided contacts that were open close, those that carried force open."""
+    """Return the events at a state: undecided contacts that close if they were open, or open if they had a force."""
     events = []
     for i in state.undecided:
         was_closed, is_closed = i in state.closed, i in chosen
@@ -478,9 +474,9 @@ def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, 
 
 
 def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet, felt: Vector) -> _State | None:
-    """Return the next fraction at which an open gap or a contact force reaches zero, with all contacts that do so.
+    """Return the next fraction at which an open gap or a contact force reaches zero, with all these contacts.
 
-    Forces times `felt`, |E_i D| (m,), and gaps over it are roots of energy, so that rates of both can be compared.
+    Forces times `felt`, |E_i D| (m,), and gaps over it are in sqrt(energy), so that rates of both are comparable.
     """
     count = len(here.gap)
     is_closed = np.isin(np.arange(count), chosen)

@@ -1,4 +1,4 @@
-"""Impact: the motion of bodies that touch, one contact problem a time step, all with one factorisation."""
+"""Compute the motion of bodies with impact: one contact problem per time step, all with one factorisation."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from contactqp.model.solution import Solution
 from contactqp.solving.methods import find as find_method
 from contactqp.solving.methods import meant_option, registered_name, takes
 
-# What `impact` takes beside the options of a method.
+# Arguments of `impact` in addition to the options of a method.
 OWN_ARGUMENTS = ("duration", "time_step", "scheme", "load", "theta", "restitution", "penalty", "start_time")
-# A start may overlap or miss a tie by this part of the lengths that meet there.
+# The admissible overlap or tie residual of a start, relative to the lengths at the contact.
 ROUNDING_OF_STARTS = 1e-9
 
 
@@ -57,10 +57,10 @@ def impact(
         M dv/dt + K u + E_N'l_N + E_T'l_T + A'nu = f,    E_N u <= g,  l_N >= 0,  l_N (g - E_N u) = 0,    A u = b
 
     with Coulomb's law of l_T and the velocity of slip. Each step is one `ContactProblem` (two in the scheme of
-    Deuflhard, Krause and Ertel) with the same stiffness, made of K, M and the step: it is factorised once, and a step
-    costs a back-substitution and a small problem of the contacts that it may close. Every step is certified, 64 at
-    once, by equilibrium, penetration, tension, complementarity, cone, slip and ties of what the scheme posed; from one
-    that is refused on, those of the 64 are taken again, each solved as a problem of its own.
+    Deuflhard, Krause and Ertel) with the same stiffness of K, M and the step, which is factorised once; a step costs a
+    back-substitution and a small problem of the contacts that it may close. Steps are certified in groups of 64 by
+    equilibrium, penetration, tension, complementarity, cone, slip and ties of the scheme's problem; from a refused step
+    on, the rest of its group is solved again as separate problems.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def impact(
     Warns
     -----
     TimeStepWarning
-        The step is too long to resolve how long a contact lasts, or, of the penalty scheme, longer than what is stable
-        in contact. The message has both numbers, and `history.notes` keeps it.
+        The step is too long to resolve the duration of a contact, or, for the penalty scheme, for stability in contact.
+        The message has both numbers, and is kept in `history.notes`.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def impact(
         Bad arguments; a start that overlaps; a mass that the scheme cannot use; central differences with a step beyond
         their critical one.
     NotConverged, NotCertified
-        A step has no answer, or a wrong one, or the motion has left all numbers; `history` is that so far.
+        A step has no answer, or a wrong one, or the motion overflows; `history` is the motion so far.
     Unsupported
         A method that is approximate by design; friction with penalty.
 
@@ -177,7 +177,7 @@ def impact(
 
 
 def _refuse_times(duration: Any, time_step: Any, start_time: Any) -> None:
-    """Raise InvalidProblem for times that no motion has, or a step whose square is no double."""
+    """Raise InvalidProblem for invalid times, or a step whose square overflows or underflows."""
     refuse_not_positive("duration", duration)
     refuse_not_positive("time_step", time_step)
     if not TINY <= float(time_step) * float(time_step) < np.inf:
@@ -187,7 +187,7 @@ def _refuse_times(duration: Any, time_step: Any, start_time: Any) -> None:
 
 
 def _refuse_unknown(method: str, options: dict[str, Any]) -> None:
-    """Raise InvalidProblem for an argument that neither `impact` nor the method has."""
+    """Raise InvalidProblem for an argument of neither `impact` nor the method."""
     unknown = sorted(name for name in options if not takes(method, name))
     if unknown:
         raise InvalidProblem(
@@ -197,7 +197,7 @@ def _refuse_unknown(method: str, options: dict[str, Any]) -> None:
 
 
 def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHistory:
-    """Return the motion of a problem, found on the problem without the rows that constrain nothing."""
+    """Return the motion of a problem, computed without its idle rows."""
     rows.refuse_conflict()
     try:
         return _MotionOfAllRows(rows, impact(rows.problem, *start, **given))
@@ -208,7 +208,7 @@ def _without_idle_rows(rows: ActingRows, *start: Any, **given: Any) -> MotionHis
 
 
 def _settings(entry: SchemeEntry, theta: Any, restitution: Any, penalty: Any) -> SchemeSettings:
-    """Return what the user has chosen; InvalidProblem for numbers out of range or that the scheme does not take."""
+    """Return the settings of the user; raise InvalidProblem for numbers out of range or not used by the scheme."""
     for name, value, low in (("theta", theta, 0.5), ("restitution", restitution, 0.0)):
         if not is_number(value) or not low <= value <= 1:
             raise InvalidProblem(f"{name}: expected a number from {low:g} to 1, got {shown(value)}")
@@ -223,7 +223,7 @@ def _settings(entry: SchemeEntry, theta: Any, restitution: Any, penalty: Any) ->
 
 
 def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
-    """Raise InvalidProblem for a start outside of the constraints, from which there is no motion."""
+    """Raise InvalidProblem for a start that violates constraints."""
     room = problem.gap - problem.normal @ u
     size = abs(problem.normal) @ abs(u) + abs(problem.gap)
     if np.any(room < -ROUNDING_OF_STARTS * size):
@@ -236,7 +236,7 @@ def _refuse_start(problem: ContactProblem, u: Vector, v: Vector) -> None:
 
 
 def _mass(entry: SchemeEntry, M: Any, problem: ContactProblem) -> Any:
-    """Return the mass that a scheme steps with, taken from the contacts where it asks for that."""
+    """Return the mass for a scheme, removed from the contacts if the scheme requires that."""
     bare = massless(M)
     if not entry.massless_contacts:
         if entry.explicit and np.any(bare):
@@ -250,9 +250,9 @@ def _mass(entry: SchemeEntry, M: Any, problem: ContactProblem) -> Any:
 
 
 def _refuse_ringing(scheme: str, problem: ContactProblem, M: Any, load: Vector, u: Vector) -> None:
-    """Raise InvalidProblem where a contact acts on an unknown without mass that is out of balance at the start.
+    """Raise InvalidProblem if a contact acts on an unknown without mass that is not in equilibrium at the start.
 
-    The scheme's velocities there overshoot in every step, undamped with theta = 1/2, and its contact is never met.
+    The scheme's velocities there would oscillate in every step, undamped with theta = 1/2.
 
     Parameters
     ----------
@@ -289,17 +289,17 @@ def _loads(problem: ContactProblem, load: Callable[[float], ArrayLike] | None) -
 
 
 class _MovingOnAllRows(OnAllRows):
-    """One instant of a motion, extended to all rows on first access."""
+    """One instant of a motion, extended to all rows at first access."""
 
     def extended(self, found: Solution) -> Solution:
-        """Return the instant with forces on all rows; its certificate stays that of its step on the acting rows."""
+        """Return the instant with forces on all rows, with the certificate of its step on the acting rows."""
         if not isinstance(found, Moving):
             return super().extended(found)
         return replace(found, **self.rows.at(found.problem).forces(found))
 
 
 class _MotionOfAllRows(MotionHistory):
-    """A motion that was found without the rows that constrain nothing."""
+    """A motion that was computed without idle rows."""
 
     def __init__(self, rows: ActingRows, history: MotionHistory) -> None:
         History.__init__(
@@ -334,7 +334,7 @@ class _MotionOfAllRows(MotionHistory):
 
     @property
     def problem(self) -> ContactProblem:
-        """Return the problem of the bodies that move with all its rows."""
+        """Return the problem of the moving bodies with all its rows."""
         return self._rows.whole
 
     @property

@@ -1,1 +1,3 @@
-"""Large deformations: Newton's method with inequality constraints, load control, and paths through limit points."""
+"""Solve large deformations: Newton's method with inequality constraints, load control, and paths through limit
+points.
+"""

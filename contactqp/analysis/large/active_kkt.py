@@ -1,7 +1,7 @@
-"""Newton steps on a set of closed contacts, for tangents that are not convex: under compressed bars, for instance.
+"""Newton steps on a set of closed contacts for indefinite tangents, for instance of compressed bars.
 
-The systems are symmetric and indefinite. The closed set, and with Coulomb friction in the plane the states of stick and
-slip, are found by the signs of forces and gaps.
+The systems are symmetric and indefinite. The closed set, and with Coulomb friction in the plane stick and slip, are
+found by the signs of forces and gaps.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from contactqp.model.problem import ContactProblem
 # Eigenvalues of a unit-diagonal matrix below this part of the largest are rounding.
 ZERO = 1e-12
 REFINEMENTS = 2
-# Sweeps that bring the largest entries of rows and columns near one; each halves their exponents.
+# Sweeps of equilibration of rows and columns; each halves the exponents of the largest entries.
 SWEEPS = 12
-# The stiffness of the springs that ask whether K is definite on the motions that leave the contacts closed.
+# The stiffness of springs for testing whether K is definite on the motions with closed contacts.
 HELD = 1e6
-# A contact is closed by what lies beyond rounding of the lengths that meet.
+# Overlaps below this part of the lengths at the contact are rounding.
 ROUNDED = 1e-14
-# What rounding may make of a length or a force, over the lengths and forces that meet.
+# The rounding of a length or a force, relative to the lengths and forces at the contact.
 ROUNDED_SLIP = 1e-12
-# Changes of combination that are tried, a contact.
+# The most changes of the combination per contact.
 CHANGES = 20
 
 
 def in_units_of_its_own(matrix: Any) -> tuple[Any, Index, Index]:
     """Return a square matrix with its largest entries in every row and column near one, and the exponents of two.
 
-    Entry (i, j) of the result is 2^(r_i + c_j) times that of the matrix, exactly (Ruiz 2001). Pivots are then chosen
-    alike whatever the units of lengths and forces are. A symmetric matrix stays symmetric.
+    Entry (i, j) of the result is 2^(r_i + c_j) times that of the matrix, exactly (Ruiz 2001). The choice of pivots is
+    then independent of the units of length and force. A symmetric matrix stays symmetric.
     """
     entries = sp.coo_array(matrix)
     entries.eliminate_zeros()
@@ -58,7 +58,7 @@ def in_units_of_its_own(matrix: Any) -> tuple[Any, Index, Index]:
 
 
 def solve_system(matrix: Any, right: Vector) -> Vector:
-    """Return the solution of a square system, symmetric or not; dense where it is small.
+    """Return the solution of a square system, dense if small.
 
     Raises NotConverged: the matrix is singular.
     """
@@ -73,9 +73,9 @@ def solve_system(matrix: Any, right: Vector) -> Vector:
 
             solved = splu(sp.csc_matrix(matrix)).solve
         found = solved(right)
-        for _ in range(REFINEMENTS):  # so that every equation holds to rounding of its own terms (Skeel 1980)
+        for _ in range(REFINEMENTS):  # refinement makes residuals small relative to each equation's terms (Skeel 1980)
             found = found + solved(right - matrix @ found)
-    except (np.linalg.LinAlgError, RuntimeError):  # RuntimeError is SuperLU's word for an exactly zero pivot
+    except (np.linalg.LinAlgError, RuntimeError):  # SuperLU raises RuntimeError for an exactly zero pivot
         raise NotConverged("the system of the closed contacts is singular") from None
     found = np.ldexp(found, of_columns)
     if not np.all(np.isfinite(found)):
@@ -110,13 +110,12 @@ def _parity(order: Any) -> float:
 
 
 def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Vector, closed: Mask) -> Any:
-    """Find a stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu and the closed
-    set.
+    """Return a stationary point of 1/2 u'Ku - f'u over E u <= g, A u = b for any symmetric K: u, l, nu, closed set.
 
-    K u + E_B' l + A' nu = f, E_B u = g_B, A u = b on the set B of closed contacts; those with l < 0 open, those
-    with E u > g close, until none does. K need not be definite, and there may be other points.
+    K u + E_B' l + A' nu = f, E_B u = g_B, A u = b is solved on the set B of closed contacts; contacts with l < 0 are
+    opened, those with E u > g closed, until none changes. K need not be definite, and there may be other points.
 
-    Raises NotConverged: a singular system, or sets that come back.
+    Raises NotConverged: a singular system, or repeated sets.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
         closed = _changed(closed, *wrong, one_by_one)
         if closed.tobytes() in seen:
             if one_by_one:
-                break  # a set decides which one follows: they would come back for ever
+                break  # each set determines the next, so that repetition is a cycle
             one_by_one, seen = True, set()
         seen.add(closed.tobytes())
     raise NotConverged("the set of closed contacts comes back: the tangent is indefinite there")
@@ -162,9 +161,7 @@ def _changed(closed: Mask, tension: Vector, excess: Vector, one_by_one: bool) ->
 
 
 def positive_semidefinite(K: Any) -> bool:
-    """Say whether K is positive semidefinite up to rounding: by eigenvalues where it is small, by the signs of its
-    pivots elsewhere.
-    """
+    """Return whether K is positive semidefinite up to rounding, by eigenvalues if small, else by signs of pivots."""
     diagonal = np.asarray(K.diagonal(), dtype=float)
     if not np.all(diagonal >= 0):
         return False
@@ -180,9 +177,9 @@ def positive_semidefinite(K: Any) -> bool:
 
 
 def negative_on(K: Any, rows: Any) -> int:
-    """Count the independent motions with rows u = 0 and negative energy u'Ku: none where the equilibrium is stable.
+    """Return the number of independent motions with rows u = 0 and negative energy u'Ku, 0 for a stable equilibrium.
 
-    Of a large K only 0 and 1, for none and some, by the pivots of K with stiff springs along the rows.
+    For a large K it is only 0 or 1 (some), by the pivots of K with stiff springs along the rows.
     """
     if K.shape[0] <= DENSE_SIZE:
         values = np.linalg.eigvalsh(restricted(K, rows))
@@ -221,14 +218,14 @@ class Combination:
 
 
 def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forces) -> tuple[Vector, Forces]:
-    """Find u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
+    """Return u and forces with K u + E_N' l_N + E_T' l_T + A' nu = f and Coulomb's law, for any symmetric K.
 
-    The combination of states is changed where its answer breaks the law: contacts in tension open, overlapping ones
-    close and stick, friction beyond mu l_N slips, slip against its friction sticks; all at once until a combination
-    comes back, then one contact at a time, which closes slipping as it moved. It starts from the states that
-    `forces` show. Rows, gaps, slip origins and ties are those of `problem`, which has one tangent a contact.
+    Starting with the states of `forces`, states are changed where the answer violates the law: contacts in tension
+    open, overlapping ones close and stick, friction beyond mu l_N slips, slip against its friction sticks. All are
+    changed at once until a combination is repeated, then one contact at a time, which closes with slip as it moved.
+    Rows, gaps, slip origins and ties are those of `problem`, which has one tangent per contact.
 
-    Raises NotConverged: a singular system, or combinations that come back.
+    Raises NotConverged: a singular system, or repeated combinations.
 
     Parameters
     ----------
@@ -254,7 +251,7 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
         else:
             seen.add(status.tobytes())
         status = status.copy()
-        if one_by_one:  # the last contact that breaks the law: Murty's rule, which ends where the law has one answer
+        if one_by_one:  # the last contact that violates the law (Murty's rule), which ends if the answer is unique
             differ = differ[-1:]
         status[differ] = changed[differ]
     raise NotConverged("the combination of stick and slip comes back: the tangent is indefinite there")
@@ -287,7 +284,9 @@ def _on(K: Any, problem: ContactProblem, load: Vector, status: Status) -> Combin
 
 
 def _lawful(problem: ContactProblem, answer: Combination, status: Status, slipping: bool) -> Status:
-    """Return the states that the answer asks for; contacts close sticking, or `slipping` as they move while open."""
+    """Return the states that follow from the answer; contacts close sticking, or `slipping` as they moved while
+    open.
+    """
     u, bound = answer.increment, np.asarray(problem.friction) * answer.normal
     E_T, origin = sp.csr_array(problem.tangent), np.asarray(problem.slip_origin)[:, 0]
     excess, slip = problem.normal @ u - problem.gap, E_T @ u - origin
