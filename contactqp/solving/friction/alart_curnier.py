@@ -207,7 +207,7 @@ def drawn_combinations(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
 
     Steps at full length pass over points from which no step lowers the residual, and lowering steps follow them. What
     is neither near an answer nor nearer than all before is passed over, and so are wedges whose contacts press each
-    other with far larger forces than those that balance the load at the start.
+    other with far larger forces than those that balance the load at the start, or whose bodies are far away.
     """
     rng, left, count, best = np.random.default_rng(form.m), DRAWN_OPERATIONS, 0, np.inf
     a_step = STEP_OVERHEAD + (len(form.q) + form.joints) ** 3
@@ -217,11 +217,16 @@ def drawn_combinations(form: LocalForm, start: Iterate) -> Iterator[Iterate]:
         found = newton(form, passed, LOWERING_STEPS)
         left -= a_step * (1 + taken + found.iterations + len(STEP_LENGTHS))
         count += 1
-        if found.size > MOST_WEDGED * start.size:
+        if max(found.size, _motion(found)) > MOST_WEDGED * max(start.size, _motion(start)):
             continue
         if found.error < best or found.error <= NEAR_AN_ANSWER * found.size:
             best = min(best, found.error)
             yield Iterate(found.force, found.joint_force, found.error, count)
+
+
+def _motion(iterate: Iterate) -> float:
+    """Return the largest force of a joint, which for a rigid motion is how far it moves."""
+    return float(np.max(abs(iterate.joint_force), initial=0.0))
 
 
 def _drawn(form: LocalForm, rng: np.random.Generator) -> Iterate:
