@@ -1,4 +1,4 @@
-"""Large deformations of bodies in contact: Newton's method whose every step is a contact problem."""
+"""Compute large deformations of bodies in contact by Newton's method with a contact problem in every step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
 from contactqp.solving.methods import find, registered_name
 
-# Each way to pick the points of a path, and the arguments that it alone takes.
+# The path controls, and their specific arguments.
 CONTROLS: dict[str, tuple[str, ...]] = {
     "load": (),
     "displacement": ("controlled", "target"),
@@ -50,12 +50,12 @@ def large_deformation(
     max_iter: int = 50,
     **options: Any,
 ) -> LargeHistory:
-    """Find the equilibria of a body at large displacements along a load path.
+    """Compute the equilibria of a body at large displacements along a load path.
 
         min  W(u) - f'u   subject to   gap(u) >= 0,  A u = b,
 
     by Newton's method: every step is the ContactProblem in the increment du with the tangent d2W/du2 + the curvature of
-    the closed contacts under their forces, the load f - dW/du, and the gaps and rows of now.
+    the closed contacts under their forces, the load f - dW/du, and the current gaps and rows.
 
     Parameters
     ----------
@@ -119,16 +119,16 @@ def large_deformation(
         Arc length or displacement control with friction or another method than "active-set"; an indefinite tangent with
         a convex method, or with friction in space; friction with an approximate method.
     InvalidProblem
-        Arguments that do not fit.
+        Inconsistent arguments.
 
     Notes
     -----
     Course section 2.5, (2.94)-(2.104), with minus both contact terms in (2.98). Steps are halved until the merit
-    W - f'u + w (overlaps + |A u - b|) falls, w above the largest force. Where a tangent has a motion of negative energy
-    that keeps the closed contacts, the step takes tangent + shift 1 (`NewtonIteration.shift`), which leads down and
-    changes no equilibrium. If the tangent is indefinite but those motions have positive energy the step is solved on
-    its closed set. With an approximate method (penalty) the equilibria are those of its contact springs, and the
-    energies do not count what these store.
+    W - f'u + w (overlaps + |A u - b|) falls, w above the largest force. If a motion with closed contacts has negative
+    energy, the step uses tangent + shift 1 (`NewtonIteration.shift`),
+    which gives a descent direction and changes no equilibrium. If the tangent is indefinite but those motions have
+    positive energy, the step is solved on its closed set. With an approximate method (penalty) the equilibria are those
+    of its contact springs, whose stored energy is not included in the energies.
 
     Examples
     --------

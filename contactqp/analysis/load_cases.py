@@ -1,4 +1,6 @@
-"""Many load cases of one problem as rows of arrays, their answers, and tables of contacts of cases and histories."""
+"""Define many load cases of one problem (rows of arrays), their answers, and tables of contacts of cases and
+histories.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,15 @@ from contactqp.model.solution import Answer, Candidate, Solution, Work
 from contactqp.model.summary import Printed, RowsOf, Table, csv_text, number, without_rounding
 from contactqp.solving.solve import begin, solve
 
-# Rows that are printed, at most.
+# # The most rows printed.
 PRINTED_ROWS = 40
 
 
 @dataclass(frozen=True)
 class ContactRow:
-    """One contact at one instant; forces and gaps that are rounding of the terms they are the sum of are 0."""
+    """One contact at one instant; forces and gaps of rounding size are 0."""
 
-    instant: int  # its place in the history, from 0 at the start
+    instant: int  # its index in the history, 0 at the start
     time: float
     contact: str
     status: str  # "open", "closed", "grazing", "stick" or "slip"
@@ -50,9 +52,9 @@ class ContactRow:
 
 @dataclass(frozen=True)
 class CaseRow:
-    """One contact in one load case, as `Solutions` has it; numbers are NaN where the case has no answer."""
+    """One contact in one load case of `Solutions`; numbers are NaN if the case has no answer."""
 
-    case: int | str  # its number from 0 on, or its name
+    case: int | str  # its number, or its name
     contact: str
     status: str  # "open", "closed", "grazing", "stick", "slip" or, without an answer, "unknown"
     normal_force: float  # positive in compression
@@ -71,12 +73,12 @@ Row = TypeVar("Row", ContactRow, CaseRow)
 
 @dataclass(frozen=True)
 class ContactTable(Printed, RowsOf[Row], Generic[Row]):
-    """The table of `History.table` or `Solutions.table`: a row for each contact at each instant or in each load case.
+    """The table of `History.table` or `Solutions.table`: one row for each contact at each instant or in each load case.
 
     `str` prints it.
     """
 
-    columns: tuple[str, ...]  # with units where the problem has them: "time [s]", "normal_force [N]"
+    columns: tuple[str, ...]  # with units, if the problem has them: "time [s]", "normal_force [N]"
     rows: tuple[Row, ...]
 
     def __repr__(self) -> str:
@@ -98,7 +100,7 @@ class ContactTable(Printed, RowsOf[Row], Generic[Row]):
         return [dict(zip(self.columns, row.cells, strict=True)) for row in self.rows]
 
     def to_csv(self) -> str:
-        """Return comma-separated values with a header; numbers have all their digits."""
+        """Return comma-separated values with a header, with all digits."""
         return csv_text(self.columns, (row.cells for row in self.rows))
 
     def write_csv(self, file: str | Path) -> None:
@@ -118,7 +120,7 @@ class ContactTable(Printed, RowsOf[Row], Generic[Row]):
 
 
 def contact_table(history: Sequence[Solution], times: Sequence[float], time_label: str) -> ContactTable[ContactRow]:
-    """Return the table of a history; its solutions are certified on the way.
+    """Return the table of a history, whose solutions are certified by this.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def contact_table(history: Sequence[Solution], times: Sequence[float], time_labe
 
 
 def columns_of(units: Units, friction: Array | None) -> list[str]:
-    """Return the headings of forces and gap, with units; `friction` (..., d-1) is the friction force, if there is."""
+    """Return the headings of forces and gap with units; `friction` (..., d-1) is the friction force or None."""
     components = 0 if friction is None else friction.shape[-1]
     names = ["friction_force"] if components == 1 else [f"friction_force_{k + 1}" for k in range(components)]
     force, length = (f" [{unit}]" if unit else "" for unit in (units.force, units.length))
@@ -150,23 +152,23 @@ def _rows(instant: int, time: float, solution: Solution) -> Iterator[ContactRow]
         yield ContactRow(instant, time, name, str(status), normal[i], tuple(friction[i]), gap[i])
 
 
-# The words of `Solution.contact_status`, in the order of their numbers here, and that of a case that failed.
+# # The words of `Solution.contact_status` in the order of their codes, and that of a failed case.
 STATUS = (*STATUS_WORDS, "unknown")
-# Contacts of an envelope that are printed, and cases that failed.
+# # The most contacts of an envelope, and failed cases, printed.
 PRINTED = 20
-# Numbers that are looked at for NaN at once.
+# # Numbers checked for NaN at once.
 BLOCK = 2**21
 # Load cases whose loads are multiplied at once.
 ROWS = 32
 
 
 class LoadCases:
-    """Loads, gaps and coefficients of friction of many cases, a row each; what is not given is the problem's own.
+    """Loads, gaps and coefficients of friction of many cases, one row each; by default those of the problem.
 
-    Loads and gaps in arrays of doubles, or in CSR arrays of them, are not copied, for they may take most of the memory
-    there is. A sum over the bits of each row tells whether it was changed since.
+    Loads and gaps in arrays or CSR arrays of doubles are not copied, as they may be very large. A checksum of each row
+    detects later changes.
 
-    Raises InvalidProblem: rows are missing altogether, differ in number, or have a wrong shape or entry.
+    Raises InvalidProblem: no rows are given, their numbers differ, or they have a wrong shape or entry.
 
     Parameters
     ----------
@@ -205,7 +207,7 @@ class LoadCases:
         return np.asarray(self.loads[[i]].toarray()[0] if sp.issparse(self.loads) else self.loads[i], dtype=float)
 
     def loaded(self) -> Indices:
-        """Return the unknowns that any case loads."""
+        """Return the unknowns loaded in any case."""
         if self.loads is None:
             return np.flatnonzero(self.problem.load)
         if sp.issparse(self.loads):
@@ -216,7 +218,7 @@ class LoadCases:
         return np.flatnonzero(found)
 
     def blocks(self, loaded: Indices) -> Iterator[tuple[range, Any]]:
-        """Yield the numbers of some cases and their loads at these unknowns; one row where all have the same."""
+        """Yield the numbers of some cases and their loads at these unknowns, one row if all are equal."""
         if self.loads is None:
             yield range(self.count), self.problem.load[None, loaded]
             return
@@ -246,7 +248,7 @@ class LoadCases:
         Raises
         ------
         InvalidProblem
-            The arrays of the cases were changed after `solve_many` had read them.
+            The arrays of the cases were changed after `solve_many` read them.
         """
         for name, digests in self._digests.items():
             if _digests(getattr(self, name)[[i]])[0] != digests[i]:
@@ -258,12 +260,12 @@ class LoadCases:
 
 
 def _read_rows(name: str, value: Any, width: int, name_of: Any, allowed: float = np.nan) -> Any:
-    """Return rows of finite numbers, as they are where they are doubles; `allowed` need not be finite.
+    """Return rows of finite numbers, without copying doubles; `allowed` need not be finite.
 
     Raises
     ------
     InvalidProblem
-        Another shape, no real numbers, or a number that is not finite: its row and its column are named.
+        Another shape, no real numbers, or a number that is not finite; the message has its row and column.
     """
     if sp.issparse(value):
         kept = isinstance(value, sp.csr_array) and value.dtype == float and value.has_canonical_format
@@ -303,7 +305,7 @@ def _read_friction(problem: ContactProblem, friction: Any) -> Array:
 
 
 def _digests(rows: Any) -> NDArray[np.uint64]:
-    """Return a number for each row that other numbers in it change."""
+    """Return a checksum for each row."""
     if sp.issparse(rows):
         parts = (rows[[i]] for i in range(rows.shape[0]))
         return np.array([_digest(part.data) ^ np.uint64(part.indices.sum()) for part in parts], dtype=np.uint64)
@@ -312,16 +314,16 @@ def _digests(rows: Any) -> NDArray[np.uint64]:
 
 def _digest(row: Vector) -> np.uint64:
     bits = np.ascontiguousarray(row, dtype=float).view(np.uint64)
-    with np.errstate(over="ignore"):  # whole numbers that wrap round are what is wanted
+    with np.errstate(over="ignore"):  # integer overflow is intended
         return np.uint64(np.dot(bits, 2 * np.arange(len(bits), dtype=np.uint64) + np.uint64(1)))
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope(ReadOnly, Printed):
-    """The largest force of each contact over all cases that have an answer, and the case that causes it."""
+    """The largest force of each contact over all cases with an answer, and its case."""
 
-    normal_force: Vector  # (m,), NaN where no case has an answer
-    load: Indices  # (m,) the number of the case, -1 where none has an answer
+    normal_force: Vector  # (m,), NaN if no case has an answer
+    load: Indices  # (m,) the number of the case, -1 if none has an answer
     names: tuple[str, ...] = field(repr=False)
 
     def __str__(self) -> str:
@@ -335,11 +337,11 @@ class Envelope(ReadOnly, Printed):
 @computes
 @dataclass(frozen=True, eq=False)
 class Solutions(ReadOnly, Printed):
-    """The answers of many load cases of one problem; `solutions[i]` is the `Solution` of one, made when asked for.
+    """The answers of many load cases of one problem; `solutions[i]` computes the `Solution` of one.
 
-    Forces, gaps and states are kept, a row for each case; displacements are expanded when asked for, so that memory
-    does not grow with their number. A case that has no certified answer has NaN in its rows, `passed` is False there
-    and `failures` says why; `solutions[i]` raises what `solve` raises.
+    Forces, gaps and states are stored, one row for each case; displacements are computed on request to save memory. A
+    case without certified answer has NaN in its rows, `passed` is False, `failures` has the reason, and `solutions[i]`
+    raises the error of `solve`.
     """
 
     problem: ContactProblem = field(repr=False)
@@ -347,24 +349,24 @@ class Solutions(ReadOnly, Printed):
     friction_force: Array | None  # (N, m, d-1), None without tangential rows
     tie_force: Array  # (N, k)
     gap: Array  # (N, m), positive when open
-    force_bound: Array  # (N, m) proven errors of the normal forces, NaN where there is none
+    force_bound: Array  # (N, m) proven errors of the normal forces, NaN if unknown
     passed: Mask  # (N,) the verdict of each
     proven: Mask  # (N,) whether the errors of each are bounded
-    failures: tuple[str, ...]  # (N,) why a case has not passed, "" where it has
+    failures: tuple[str, ...]  # (N,) why a case has not passed, "" if it has
     method: str
     seconds: float
     work: Work
     _status: NDArray[np.uint8] = field(repr=False)  # (N, m)
     _cases: LoadCases = field(repr=False)
-    _arguments: dict[str, Any] = field(repr=False)  # of `solve`
-    _started: Mask = field(repr=False)  # (N,) whether the forces here are those that a solution starts from
+    _arguments: dict[str, Any] = field(repr=False)  # options of `solve`
+    _started: Mask = field(repr=False)  # (N,) whether a solution starts from the forces stored here
 
     def __len__(self) -> int:
         return self._cases.count
 
     @property
     def contact_status(self) -> NDArray[np.str_]:
-        """Return (N, m) of "open", "closed", "grazing", "stick" and "slip"; "unknown" where a case has no answer."""
+        """Return (N, m) of "open", "closed", "grazing", "stick" and "slip"; "unknown" if a case has no answer."""
         return np.array(STATUS)[self._status]
 
     @overload
@@ -374,15 +376,15 @@ class Solutions(ReadOnly, Printed):
     def __getitem__(self, place: slice) -> list[Solution]: ...
 
     def __getitem__(self, place: int | slice) -> Solution | list[Solution]:
-        """Return the solution of a case, solved again from the shared factorisation, with its whole certificate."""
+        """Return the solution of a case, computed again with the shared factorisation, with its full certificate."""
         if isinstance(place, slice):
             return [self[i] for i in range(len(self))[place]]
         if is_whole(place) and not self._has(place):
-            raise IndexError(f"case {place} of {len(self)}")  # what ends a loop over a sequence
+            raise IndexError(f"case {place} of {len(self)}")  # ends a loop over a sequence
         return self._solved(place)
 
     def _solved(self, place: int) -> Solution:
-        """Return the solution of a case; with friction, of which there may be several, the one near the forces here."""
+        """Return the solution of a case, with friction the one near the stored forces."""
         problem = self.case(place)
         if self.friction_force is None or not (problem.frictional and self._started[place]):
             found: Solution = solve(problem, self.method, **self._arguments)
@@ -396,7 +398,7 @@ class Solutions(ReadOnly, Printed):
         return begin(problem, self.method, start, **self._arguments).finish()
 
     def _held(self, problem: ContactProblem, u: Vector, place: int) -> Vector:
-        """Return a displacement moved rigidly to where contacts that are closed here, or stick, and ties hold it."""
+        """Return a displacement moved rigidly such that stored closed or sticking contacts and ties are satisfied."""
         motions = condense(problem).rigid.motions
         if not motions.shape[1]:
             return u
@@ -413,23 +415,23 @@ class Solutions(ReadOnly, Printed):
         return (self[i] for i in range(len(self)))
 
     def case(self, i: int) -> ContactProblem:
-        """Return the problem of a case; a number below zero counts from the end.
+        """Return the problem of a case; negative numbers count from the end.
 
         Raises
         ------
         InvalidProblem
-            There is no such case, or its load was changed after `solve_many` had read it.
+            There is no such case, or its load was changed after `solve_many` read it.
         """
         if not self._has(i):
             raise InvalidProblem(f"i: expected the number of one of {counted('case', len(self))}, got {i}")
         return self._cases.case(int(i) % len(self))
 
     def displacement(self, i: int) -> Vector:
-        """Return the displacement (n,) of a case, with the digits of its `Solution`."""
+        """Return the displacement (n,) of a case, as accurate as that of its `Solution`."""
         return self._solved(i).displacement
 
     def envelope(self) -> Envelope:
-        """Return the largest force of each contact over all cases, and the case that causes it."""
+        """Return the largest force of each contact over all cases, and its case."""
         m = self.problem.contacts
         names = tuple(self.problem.contact_name(i) for i in range(m))
         answered = np.flatnonzero(np.isfinite(self.normal_force).all(axis=1))
@@ -439,9 +441,9 @@ class Solutions(ReadOnly, Printed):
         return Envelope(self.normal_force[load, np.arange(m)], load, names)
 
     def table(self, names: Sequence[str] | None = None) -> ContactTable[CaseRow]:
-        """Return status, normal force, friction, gap and verdict of every contact in every case, a row each.
+        """Return status, normal force, friction, gap and verdict of every contact in every case, one row each.
 
-        `names` (N,) are what the cases are called; their numbers from 0 on by default.
+        `names` (N,) are the names of the cases, by default their numbers.
         """
         called: Sequence[int | str] = range(len(self))
         if names is not None:
@@ -459,7 +461,7 @@ class Solutions(ReadOnly, Printed):
                 yield CaseRow(case, contact, status[j], force[j], tuple(friction[j]), gap[j], passed)
 
     def write_csv(self, file: str | Path, names: Sequence[str] | None = None) -> None:
-        """Write `table` to a file of comma-separated values; InvalidProblem where it cannot be written."""
+        """Write `table` to a file of comma-separated values; raise InvalidProblem if this fails."""
         self.table(names).write_csv(file)
 
     def plot(self, file: str | Path | None = None, **options: Any) -> Any:

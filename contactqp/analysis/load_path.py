@@ -1,4 +1,4 @@
-"""Load paths: one ContactProblem after another, all with one factorisation."""
+"""Follow load paths: one ContactProblem after another, all with one factorisation."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def follow_path(
 
         s = E_T u - o,   o = E_T u of step k;   o = E_T u where the gap g - E_N u vanishes, for a contact that closes,
 
-    at the fraction of the step at which it closes, so that where a contact sticks does not depend on the steps. The
-    problem of every solution carries o as its `slip_origin`, and `Solution.slip` is s. A contact that opens loses its
-    anchor; one that is closed at the start (gap 0) is anchored at `problem.slip_origin`.
+    at the fraction of the step at which it closes, so that sticking positions do not depend on the steps. The problem
+    of every solution has o as its `slip_origin`, and `Solution.slip` is s. A contact that opens loses its anchor; one
+    that is closed at the start (gap 0) is anchored at `problem.slip_origin`.
 
     Parameters
     ----------
@@ -91,16 +91,16 @@ def follow_path(
     Raises
     ------
     Unsupported
-        Exact events of an approximate method without friction, where the motion jumps, or with friction and two
-        tangential directions a contact; friction that `solve` does not support.
+        Exact events of an approximate method without friction, if the motion jumps, or with friction and two tangents
+        per contact; friction that `solve` does not support.
     NoEquilibrium
-        At the first load that nothing holds. With friction and exact events also where no rates continue the path, a
-        snap: the message has the pseudo-time and the contacts. Steps may find a state beyond it: `History.notes`
-        says where they have jumped.
+        At the first load without equilibrium. With friction and exact events also if no rates continue the path (a
+        snap); the message has the pseudo-time and the contacts. Steps may find a state beyond it, with a note in
+        `History.notes`.
     SeveralEquilibria
-        With friction and exact events, several rates continue the path, above a critical coefficient. They are found
-        where at most 256 combinations of undecided contacts make all of them; beyond, one is followed. Steps
-        follow one, and `History.notes` says so.
+        With friction above a critical coefficient and exact events, several rates continue the path. This is detected
+        for at most 256 combinations of undecided contacts; otherwise one is followed. Steps follow one, with a note in
+        `History.notes`.
     NotConverged, NotCertified
         As `solve`.
 
@@ -174,7 +174,7 @@ def _follow_leg(
 ) -> None:
     """Follow one leg from its first load to its last in `count` steps, and append the times of its instants.
 
-    With a method its exact events are found by that, appended, and instants of their own.
+    With a method given, its exact events are computed, appended, and added as instants.
     """
     solutions.turn(*ends)
     fractions = {(i + 1) / count for i in range(count)}
@@ -189,13 +189,13 @@ def _follow_leg(
 
 
 class _Steps(LazySolutions):
-    """The solutions along a path; each is polished, expanded and certified on first access."""
+    """The solutions along a path, each refined, expanded and certified at first access."""
 
     def __init__(self, problem: ContactProblem, method: str, options: dict[str, Any]) -> None:
         super().__init__()
         self._problem, self._method, self._options = problem, method, options
         self._start: Candidate | None = None
-        # Without a condensation of all contacts there is nothing small to step on.
+        # # Without a condensation of all contacts `solve` is used.
         self._whole = iterated(problem) or contacts_are_many(problem)
         self._step(np.zeros(problem.dimension))
 
@@ -207,11 +207,11 @@ class _Steps(LazySolutions):
             self._reduced = condensation.reduce_load(start), condensation.reduce_load(end)
 
     def go_to(self, fraction: float) -> None:
-        """Take one more step, to the load at a fraction of the leg."""
+        """Add a step to the load at a fraction of the leg."""
         start, end = self._leg
         load = end if fraction == 1 else start + fraction * (end - start)
         if not self._whole:
-            # A combination of loads is reduced by combining what their reductions left.
+            # # The reduced load of a combination is the combination of reduced loads.
             (f, inner), (f_end, inner_end) = self._reduced
             at = f + fraction * (f_end - f), inner + fraction * (inner_end - inner)
             condense(self._problem).remember_load(load, *at)
@@ -235,7 +235,7 @@ def _corners(problem: ContactProblem, loads: Sequence[ArrayLike]) -> list[Vector
 
 
 def changes(solutions: Sequence[Solution], times: Sequence[float]) -> Iterator[Event]:
-    """Return the contacts that carry a force at one step and none at the one before, or the reverse."""
+    """Return the contacts that have a force at one step and none at the previous one, or the reverse."""
     states = ((solution.normal_force > 0, np.zeros(len(solution.normal_force), dtype=bool)) for solution in solutions)
     return contact_changes(states, times, lambda i: solutions[0].problem.contact_name(i))
 

@@ -1,18 +1,18 @@
 """Many load cases of one problem: one factorisation, condensed once, every case certified.
 
-Where cases are many, influence functions (`contactqp.linalg.influence`) turn each into a product with its load and a
-small system, without friction, with it in the plane, and in space where all that touches sticks; its answer is proven;
-bodies that float are put on springs.
-A case nearer to other states of its contacts, or less accurate than an answer has to be, is left to `solve`.
+For many cases, influence functions (`contactqp.linalg.influence`) reduce each to a product with its load and a small
+system: without friction, with friction in the plane, and in space if all closed contacts stick. The answer is proven,
+and floating bodies are put on springs. A case too near to other contact states, or not accurate enough, is solved by
+`solve`.
 
-States are looked for from those of the case before where the answer is the only one whatever the load, without friction
-and where `contactqp.critical_friction` says so; else from the contacts that close without friction, so that an answer
-does not depend on the cases before it; of bodies that float from contacts that are all closed.
+The search for states starts from the previous case if answers are unique for any load (without friction, or by
+`contactqp.critical_friction`); otherwise from the contacts that close without friction, so that an answer does not
+depend on previous cases; for floating bodies from all contacts closed.
 
-Answers as functions of JAX and PyTorch, differentiated by what `pullback` says; neither is imported until asked for.
+Answers are also available as functions of JAX and PyTorch, differentiated by `pullback`; these are imported on request.
 
-Every call of such a function is a certified solution, its gradient one system with the same factors. Where an answer
-has no gradient, at a contact that grazes, the error says so.
+Every call of such a function is a certified solution, and its gradient one system with the same factors. Without a
+gradient, as at a grazing contact, an error is raised.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ from contactqp.solving.methods import DEFAULT_METHOD, registered_name
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
 
-# A case pays for so many influence functions, which may take a part of the memory that is free.
+# # The number of influence functions worth computing per case, and the part of free memory for them.
 PER_CASE, PART_OF_MEMORY = 8, 0.125
-# With fewer unknowns a solution takes a millisecond and has all digits: functions pay only from so many cases on.
+# # With fewer unknowns a solution takes a millisecond, so that functions are used only from this number of cases.
 FEWEST_UNKNOWNS, MANY_CASES = 500, 200
-# A case may fail in these ways and others go on; what is not installed or not supported is so for all of them.
+# # Errors of single cases, after which others continue; missing or unsupported methods concern all of them.
 OF_ALL = (BackendMissing, Unsupported)
 NUMBER = {word: number for number, word in enumerate(STATUS)}
 
@@ -70,12 +70,11 @@ def solve_many(
 ) -> Solutions:
     """Solve one problem for many loads, gaps or coefficients of friction, each certified as by `solve`.
 
-    The stiffness is factorised and condensed once, and again on springs where a body floats. Without friction, with it
-    in the plane, and in space where nothing slips, a case then takes a product with influence functions and a small
+    The stiffness is factorised and condensed once, and again on springs if a body floats. Without friction, with
+    friction in the plane, and in space without slip, a case then takes a product with influence functions and a small
     system, and `force_bound` proves its forces: with friction they are those of an equilibrium, the only one nearby.
-    What is nearer than that to other states of its contacts is solved by itself, as is all else, from the answer of the
-    case before where that is unique: loads that are near to each other should stand next to each other. A case that
-    fails stops no other.
+    Cases closer to other contact states, and all others, are solved separately, starting from the previous answer if
+    this is unique, so that similar loads should be adjacent. Failing cases do not affect others.
 
     Parameters
     ----------
@@ -102,7 +101,7 @@ def solve_many(
     Raises
     ------
     InvalidProblem
-        A wrong shape, or a number that is not finite: the case is named.
+        A wrong shape, or a number that is not finite; the message has the case.
     BackendMissing, Unsupported
         The method is not installed, or cannot do this.
 
@@ -129,7 +128,7 @@ def solve_many(
 
 
 def _by_influence(cases: LoadCases, rows: _Rows) -> None:
-    """Solve what is proven by influence functions, where there are cases enough to pay for these."""
+    """Solve cases by influence functions, if these pay for the number of cases."""
     try:
         problem = cases.case(0)
         if not _pays(cases, problem) or not _may_stick(cases, problem, rows):
@@ -148,13 +147,13 @@ def _by_influence(cases: LoadCases, rows: _Rows) -> None:
             if influence.accurate:
                 _take_blocks(cases, rows, influence, loaded, warm)
     except ContactQPError:
-        return  # `solve` says of each case what there is to say
+        return  # `solve` handles each case
     route = f"influence functions: {int(rows.answered.sum())} of {counted('case', cases.count)}"
     rows.work = replace(meter.read(0, 0), routes=(route,))
 
 
 def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
-    """Return whether influence functions are offered of a problem, and the cases are enough for their number."""
+    """Return whether influence functions are available for a problem, and pay for the number of cases."""
     rough = _is_rough(cases, problem)
     count = _functions(problem, rough)
     if problem.dimension < FEWEST_UNKNOWNS and cases.count < MANY_CASES:
@@ -167,7 +166,7 @@ def _pays(cases: LoadCases, problem: ContactProblem) -> bool:
 
 
 def _may_stick(cases: LoadCases, problem: ContactProblem, rows: _Rows) -> bool:
-    """Return whether nothing slips in the first case in space, which is solved by itself; in the plane it may."""
+    """Return whether nothing slips in the first case, solved separately, in space; in the plane slip is allowed."""
     if not _is_rough(cases, problem) or _functions(problem, rough=True) <= 2 * problem.contacts + problem.ties:
         return True
     rows.take(0, found := solve(problem))
@@ -185,14 +184,16 @@ def _functions(problem: ContactProblem, rough: bool) -> int:
 
 
 def _is_only(cases: LoadCases, condensation: Condensation) -> bool:
-    """Return whether there is one answer to every load, by the largest coefficient that each contact has."""
+    """Return whether answers are unique for every load, by the largest coefficient of each contact."""
     problem = cases.problem
     problem = problem if cases.friction is None else problem.replace(friction=cases.friction.max(axis=0))
     return too_many(problem, condensation) is None and critical(problem, condensation).unique
 
 
 def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: Any, warm: bool) -> None:
-    """Solve the cases in blocks, each from the states of the nearest one before if `warm`, else from what it closes."""
+    """Solve the cases in blocks, each from the states of the previous one if `warm`, else from its contacts closed
+    without friction.
+    """
     problem, m, closed = cases.problem, cases.problem.contacts, STICK if influence.rough else SLIP_ON
     solved, friction = SolvedCases(), np.zeros(m)
     origin = problem.slip_origin.ravel() if influence.rough and problem.slip_origin is not None else np.zeros(0)
@@ -205,7 +206,7 @@ def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: An
             limit = np.concatenate([cases.gap(i), origin, problem.tie_value, np.zeros(influence.springs)])
             excess = influence.excess(free[at], limit)
             status = solved.nearest(excess) if warm else None
-            if status is None:  # without contacts a body on springs does not stay
+            if status is None:  # without contacts a floating body has no position
                 touches = np.isfinite(limit[:m]) if influence.springs else (excess[:m] > 0) & (not warm)
                 status = np.where(touches, closed, OPEN).astype(np.int8)
             found = influence.forces(free[at], float(sizes[at]), limit, status, friction)
@@ -215,7 +216,7 @@ def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: An
 
 
 def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, Any]) -> None:
-    """Solve each case, from the answer of the one before it where both are unique."""
+    """Solve each case, from the previous answer if both are unique."""
     before: Solution | None = None
     refused: InvalidProblem | None = None
     for i in np.flatnonzero(~rows.answered).tolist():
@@ -231,23 +232,23 @@ def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, A
         rows.take(i, found)
         before = found if _is_unique(found) else None
     if refused is not None and not rows.answered.any():
-        raise refused  # it is the problem, and no load of it
+        raise refused  # the problem fails, not a load
 
 
 def _solved(problem: ContactProblem, method: str, before: Solution | None, options: dict[str, Any]) -> Solution:
-    """Solve from another answer, or from none where that fails or the answer found is one of several."""
+    """Solve from another answer, or without it if that fails or the answer is one of several."""
     if before is not None:
         try:
             found = solve(problem, method, warm_start=before, **options)
             if _is_unique(found):
                 return found
         except ContactQPError:
-            pass  # what it says should not depend on the case before
+            pass  # the error should not depend on the previous case
     return solve(problem, method, **options)
 
 
 def _is_unique(solution: Solution) -> bool:
-    """Return whether there is no sign of other answers, or of other forces with the same displacement."""
+    """Return whether there are no findings of other answers, or of other forces with the same displacement."""
     certificate = solution.certificate
     several = certificate.uniqueness or any(REDUNDANT in reason for reason in certificate.reasons)
     return certificate.passed and not several and not solution.free_motions
@@ -269,7 +270,7 @@ class _Rows:
         self.work = Work()
 
     def take(self, i: int, found: Solution) -> None:
-        """Keep what is asked for of the answer of a case."""
+        """Store the answer of a case."""
         certificate = found.certificate
         self.normal_force[i], self.tie_force[i], self.gap[i] = found.normal_force, found.tie_force, found.gap
         if self.friction_force is not None and found.friction_force is not None:
@@ -282,7 +283,7 @@ class _Rows:
         self.work = replace(found.work.after(self.work), routes=self.work.routes)
 
     def take_forces(self, i: int, found: ProvenForces, friction: Vector) -> None:
-        """Keep the proven forces of a case, whose coefficients of friction are given."""
+        """Store the proven forces of a case, given its coefficients of friction."""
         m, ties = len(found.gap), self.tie_force.shape[1]
         self.normal_force[i], self.tie_force[i], self.gap[i] = found.force[:m], found.force[m : m + ties], found.gap
         self.force_bound[i] = found.bound[:m]
@@ -296,7 +297,7 @@ class _Rows:
         self.passed[i] = self.proven[i] = self.answered[i] = self.started[i] = True
 
     def fail(self, i: int, error: ContactQPError) -> None:
-        """Keep why a case has no answer."""
+        """Store why a case has no answer."""
         self.failures[i] = str(error)
 
     def solutions(self, cases: LoadCases, method: str, options: dict[str, Any], seconds: float) -> Solutions:
@@ -323,7 +324,7 @@ class _Rows:
 
 FRAMEWORKS = ("jax", "torch")
 VARIED = (*VECTORS, "stiffness")
-# What `solve_many` takes, by its names of them, and what it has of all cases.
+# # The arguments of `solve_many` by parameter, and the quantities that it has for all cases.
 OF_MANY = dict(load="loads", gap="gaps", friction="friction")
 ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
 
@@ -331,7 +332,7 @@ ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
 @checked
 @own_floating_point
 def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], framework: str) -> Callable[..., Any]:
-    """Return an answer as a function of what is varied, for automatic differentiation.
+    """Return an answer as a function of the varied parameters, for automatic differentiation.
 
     Parameters
     ----------
@@ -351,7 +352,7 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
     BackendMissing
         The framework is not installed.
     InvalidProblem
-        A name that is none of these; JAX computes in single precision.
+        An unknown name; JAX computes in single precision.
 
     Examples
     --------
@@ -378,7 +379,7 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
 
 
 class _Host:
-    """Answers and gradients in NumPy, of one case or of a batch, whose dimensions come before those of a case."""
+    """Answers and gradients in NumPy for one case or a batch, whose dimensions precede those of a case."""
 
     def __init__(self, problem: ContactProblem, of: str, varied: tuple[str, ...]) -> None:
         self.problem, self.of, self.varied = problem, of, varied
@@ -387,7 +388,7 @@ class _Host:
         self._last: tuple[tuple[bytes, ...], Solution] | None = None
 
     def _cases(self, values: Sequence[Any]) -> tuple[tuple[int, ...], list[Array]]:
-        """Return the dimensions of a batch, and the values of its cases (cases, ...) one after the other."""
+        """Return the dimensions of a batch, and the values of its cases (cases, ...)."""
         given = [np.asarray(value, dtype=float) for value in values]
         pairs = list(zip(given, self._ranks, strict=True))
         batch = np.broadcast_shapes(*(value.shape[: value.ndim - rank] for value, rank in pairs))
@@ -396,7 +397,7 @@ class _Host:
         return batch, [value.reshape(-1, *one) for value, one in zip(whole, own, strict=True)]
 
     def solution(self, values: Sequence[Array]) -> Solution:
-        """Return the certified answer where these have the varied parameters' places; the last one is kept."""
+        """Return the certified answer for these values of the parameters; the last one is cached."""
         key = tuple(value.tobytes() for value in values)
         if self._last is not None and self._last[0] == key:
             return self._last[1]
@@ -414,12 +415,12 @@ class _Host:
         return found
 
     def value(self, *values: Any) -> Array:
-        """Return the quantity, in doubles; that of many loads, gaps or coefficients as of `solve_many`."""
+        """Return the quantity in doubles, for many loads, gaps or coefficients by `solve_many`."""
         batch, cases = self._cases(values)
         if len(cases[0]) > 1 and set(self.varied) <= set(OF_MANY):
             given: dict[str, Any] = {OF_MANY[name]: one for name, one in zip(self.varied, cases, strict=True)}
             many = solve_many(self.problem, **given)
-            of_all = self.of in ARRAYS_OF_MANY and many.passed.all()  # one that fails says why when it is asked for
+            of_all = self.of in ARRAYS_OF_MANY and many.passed.all()  # a failing case raises its error when used
             found = getattr(many, self.of) if of_all else [getattr(one, self.of) for one in many]
         else:
             found = [getattr(self.solution(one), self.of) for one in zip(*cases, strict=True)]
@@ -442,7 +443,7 @@ class _Host:
 
 
 def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function with a reverse rule, whose solutions are made outside of JAX, all of a batch at once."""
+    """Return a function with a reverse rule, whose solutions are computed outside of JAX for a whole batch."""
     if not jax.config.jax_enable_x64:
         raise InvalidProblem(
             'differentiable: JAX computes in single precision; expected jax.config.update("jax_enable_x64", True)'
@@ -468,7 +469,7 @@ def _jax_function(jax: Any, host: _Host) -> Callable[..., Any]:
 
 
 def _torch_function(torch: Any, host: _Host) -> Callable[..., Any]:
-    """Return a function of tensors in double precision, for `torch.func.vmap` and `grad`, too."""
+    """Return a function of tensors in double precision, also for `torch.func.vmap` and `grad`."""
 
     def kind(name: str, forward: Any, keep: Any, backward: Any) -> Any:
         def batched(_: Any, dimensions: Any, *values: Any) -> Any:

@@ -1,7 +1,7 @@
-"""The equilibria of a large deformation, one after the other, with the Newton iterations that found them.
+"""Define the equilibria of a large deformation, and their Newton iterations.
 
-`LoadedBody` is a deformable body with its contacts and ties: what is out of balance at a displacement, and the Newton
-step there. `LargeSolution` and `LargeHistory` are what a user gets.
+`LoadedBody` is a deformable body with contacts and ties: its residual at a displacement, and the Newton step there.
+`LargeSolution` and `LargeHistory` are the results for the user.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Answer, HoldsAnswer, Solution
 
-if TYPE_CHECKING:  # imported where something deforms: this module also says what is no large deformation
+if TYPE_CHECKING:  # imported only if needed, as this module also recognises other analyses
     from contactqp.elements.deformable import ContactGeometry, Deformable, LinearisedContacts
 
-# Rounding of an internal force, in units of eps |K||u|: a few operations for each bar or quadrature point.
+# The rounding of an internal force in units of eps |K||u|: a few operations for each bar or quadrature point.
 ROUNDING_OF_INTERNAL_FORCES = 64 * EPS
 
 
@@ -55,10 +55,10 @@ class Instant:
 class Imbalance:
     """The residuals of forces and lengths at a displacement, and whether they are negligible."""
 
-    force: float  # the largest residual over the largest force that meets it
-    length: float  # the largest error of a gap, slip or tie over the largest displacement
+    force: float  # the largest residual relative to the largest force
+    length: float  # the largest error of a gap, slip or tie relative to the largest displacement
     nothing: bool  # both within tolerance, or within rounding
-    lengths_are_met: bool  # of these alone
+    lengths_are_met: bool  # rounding of lengths only
     residual: float  # the largest residual [force]
     largest_force: float  # [force]
 
@@ -98,15 +98,13 @@ class LoadedBody:
 
     @cached_property
     def unknown_names(self) -> tuple[str, ...] | None:
-        """Return the names of the unknowns, where the body has such."""
+        """Return the names of the unknowns, if the body has them."""
         from contactqp.elements.deformable import unknown_names_of
 
         return unknown_names_of(self.body)
 
     def at(self, u: Vector) -> Instant:
-        """Return the body at a displacement; InvalidProblem where it cannot be, or where a contact has lost its
-        pair.
-        """
+        """Return the body at a displacement; raise InvalidProblem if this is inadmissible or a contact has no pair."""
         return Instant(u, np.asarray(self.body.internal_force(u)), self._contact(u))
 
     def _contact(self, u: Vector) -> LinearisedContacts:
@@ -118,13 +116,13 @@ class LoadedBody:
         return self.contact.state(u)
 
     def no_forces(self) -> Forces:
-        """Return forces that all vanish."""
+        """Return zero forces."""
         return Forces(np.zeros(self.contacts), np.zeros(self.tie.shape[0]))
 
     def hessian(self, now: Instant, forces: Forces) -> Any:
         """Return K + curvature of the contacts under their forces, (n, n) CSC, symmetric [force / length].
 
-        Raises NotConverged: an entry is beyond doubles.
+        Raises NotConverged: an entry overflows.
         """
         K = sp.csc_array(self.body.tangent(now.displacement))
         if self.contact is not None and np.any(forces.normal):
@@ -183,7 +181,7 @@ class LoadedBody:
         length_rounding: Vector,
         tolerance: float,
     ) -> Imbalance:
-        """Measure how far from balance the body is; `lengths` (any number,) are the errors of gaps, slips and ties.
+        """Return the residuals of the body; `length_error` and `length_rounding` are those of gaps, slips and ties.
 
         Parameters
         ----------
@@ -211,11 +209,11 @@ class LoadedBody:
 class NewtonIteration:
     """One step of Newton's method, and the residuals after it."""
 
-    force_error: float  # the largest force out of balance over the largest force that acts
-    length_error: float  # the largest error of a linearised gap, slip or tie over the largest displacement
-    fraction: float  # of the step that was taken
-    shift: float  # added to the diagonal of an indefinite tangent to find a way down [force / length]; mostly 0
-    changed: bool  # whether other contacts are closed than before
+    force_error: float  # the largest residual force relative to the largest force
+    length_error: float  # the largest error of a linearised gap, slip or tie relative to the largest displacement
+    fraction: float  # the fraction of the step that was taken
+    shift: float  # added to the diagonal of an indefinite tangent for a descent direction [force / length], mostly 0
+    changed: bool  # whether the closed contacts changed
 
     @property
     def error(self) -> float:
@@ -227,10 +225,10 @@ class NewtonIteration:
 class LargeSolution(Solution):
     """An equilibrium at a large displacement.
 
-    `problem` is the last step of Newton's method, from u_0 = u - `increment`, written in the displacement: K is the
-    tangent there, the load f - f_int + K u_0, E_N and E_T the rows and gap + E_N u_0 the gaps of there. The certificate
-    is of that problem. Gaps, slips and energy are those of u itself. `position` has the places of the contacts, and is
-    None where the body has none; the nodes of a truss or a solid are at their coordinates plus the displacement.
+    `problem` is the last Newton step from u_0 = u - `increment`, in terms of the displacement: K is the tangent, f -
+    f_int + K u_0 the load, E_N and E_T the rows and gap + E_N u_0 the gaps at u_0. The certificate is that of this
+    problem. Gaps, slips and energy are those of u. `position` has the positions of the contacts, None if the body has
+    none; nodes of a truss or a solid are at their coordinates plus the displacement.
     """
 
     load_factor: float = 0.0
@@ -241,9 +239,9 @@ class LargeSolution(Solution):
     current_slip: Array | None = field(default=None, repr=False)
     position: Array | None = field(default=None, repr=False)  # (m, d) of the contacts
     elastic: float = 0.0  # the energy of the body
-    negative: int = 0  # motions without contact change that have negative energy; 0: stable
+    negative: int = 0  # number of motions with closed contacts and negative energy; 0: stable
     iterations: tuple[NewtonIteration, ...] = field(default=(), repr=False)
-    load_rate: float = 1.0  # how the load factor goes on along an arc; negative where it falls
+    load_rate: float = 1.0  # the rate of the load factor along an arc
     load_scale: float = 0.0  # the length of one unit of load factor on an arc [length]
 
     @property
@@ -253,7 +251,7 @@ class LargeSolution(Solution):
 
     @property
     def slip(self) -> Array | None:
-        """Return how far the contacts slid in the load step along the current tangents, (m, d-1) [length]."""
+        """Return the slips in the load step along the current tangents, (m, d-1) [length]."""
         return self.current_slip
 
     @property
@@ -263,7 +261,7 @@ class LargeSolution(Solution):
 
     @property
     def stable(self) -> bool:
-        """Say whether no motion that keeps the closed contacts closed lowers the energy."""
+        """Return whether no motion with the closed contacts closed decreases the energy."""
         return self.negative == 0
 
 
@@ -274,18 +272,18 @@ class LimitPoint(ReadOnly, HoldsAnswer):
     kind: str  # "maximum" or "minimum"
     load_factor: float
     answer: Answer = field(repr=False)
-    after: int = 0  # the solution of the history that comes before it
-    smooth: bool = True  # False: a contact closes or opens there
+    after: int = 0  # index of the previous solution in the history
+    smooth: bool = True  # False if a contact closes or opens there
 
 
 @dataclass(frozen=True, eq=False)
 class Snap:
-    """A jump under load control: the load factor of it lies between `low` and `high`."""
+    """A jump under load control, at a load factor between `low` and `high`."""
 
     low: float
     high: float
-    located: bool  # whether the bracket is a small part of the step
-    unknown: int  # the one that jumps furthest
+    located: bool  # whether the bracket is small relative to the step
+    unknown: int  # the unknown that jumps furthest
     before: float  # its displacement [length]
     after: float
 
@@ -302,7 +300,7 @@ class Snap:
 
 
 class LargeHistory(History):
-    """The equilibria of a path; `times` are the load factors, which an arc length may take back and forth.
+    """The equilibria of a path; `times` are the load factors, which may decrease with arc-length control.
 
     Parameters
     ----------
@@ -344,9 +342,7 @@ class LargeHistory(History):
 
     @property
     def iterations(self) -> tuple[tuple[NewtonIteration, ...], ...]:
-        """Return, for every solution, the residuals after each step of Newton's method; at the end they are squared
-        from one to the next.
-        """
+        """Return for every solution the residuals after each Newton step, which converge quadratically at the end."""
         return tuple(solution.iterations for solution in self._found)
 
     @property
@@ -361,12 +357,12 @@ class LargeHistory(History):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Figures of a history that are computed on first access."""
+    """Quantities of a history that are computed at first access."""
 
     solutions: Sequence[LargeSolution]
 
     def events(self) -> Iterator[Event]:
-        """Return the contacts that close, open, slip or stick, at the first solution that shows it."""
+        """Return the contacts that close, open, slip or stick, at the first solution after it."""
         states = (_pushes_and_slides(solution) for solution in self.solutions)
         times = (solution.load_factor for solution in self.solutions)
         return contact_changes(states, times, lambda i: self.solutions[0].problem.contact_name(i))
@@ -375,7 +371,7 @@ class _Found:
         """Return the elastic energy of the body, the work of loads and ties by the trapezoidal rule, and the sum of
         l_T . s over the steps.
 
-        Where a path jumps, work and elastic energy differ by what the jump sets free.
+        If a path jumps, work and elastic energy differ by the released energy.
         """
         work = dissipated = 0.0
         for k, now in enumerate(self.solutions):

@@ -1,7 +1,7 @@
-"""Load control of a large deformation: one step after another up the load, with jumps noted.
+"""Follow a large deformation by load control, with notes on jumps.
 
-A balance that Newton's method found becomes a certified solution of the history. Where contacts slide far and close
-within a step, their slips count from anchors.
+Each equilibrium of Newton's method is certified and added to the history. Slips of contacts that close within a step
+are measured from anchors.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from contactqp.errors import NotCertified, NotConverged
 from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.solution import Answer, Work
 
-# A step that does not converge is halved, its halves likewise, at most so often.
+# The most successive halvings of a step that does not converge.
 MOST_HALVINGS = 4
-# Halvings of a step in search of a jump: they bracket its load factor to a millionth of the step.
+# Halvings of a step for bracketing the load factor of a jump to a millionth of the step.
 HALVINGS = 20
-# The load factor of a jump counts as located where its bracket is below this part of the step.
+# The load factor of a jump counts as located if its bracket is below this part of the step.
 LOCATED = 1e-3
-# What is left of a step's displacement when the step has shrunk to nothing: a jump, not a steep path.
+# The least part of a step's displacement that remains for a vanishing step if the path jumps.
 JUMP = 0.3
-# A motion of less stiffness than this part of the largest has none.
+# Stiffnesses below this part of the largest are zero.
 NO_STIFFNESS = 1e-10
-# Where between the ends of a step a crest of the energy is looked for: Newton's method may have leapt over it.
+# Points between the ends of a step examined for an energy barrier, which Newton's method may have crossed.
 BETWEEN = (0.25, 0.5, 0.75)
-# Friction within this part of its bound is at it.
+# The relative distance within which friction is at its bound.
 STICKS = 1e-9
 
 
@@ -45,7 +45,7 @@ STICKS = 1e-9
 class Program:
     """Loads and tie values against the load factor t: corner k at t = k, straight lines between."""
 
-    loads: Sequence[Vector]  # (n,) each, the start included
+    loads: Sequence[Vector]  # (n,) each, including the start
     tie_values: Sequence[Vector]  # (k,) each
 
     @property
@@ -72,7 +72,7 @@ class LoadControl:
     settings: NewtonSettings
 
     def follow(self, start: Vector | LargeSolution, times: Sequence[float]) -> LargeHistory:
-        """Find the equilibria at the load factors, from a displacement or from a solution of the path.
+        """Compute the equilibria at the load factors from a displacement or a solution of the path.
 
         Raises NotConverged, NotCertified: with the history so far.
         """
@@ -96,7 +96,7 @@ class LoadControl:
         return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
-        """Find the equilibrium from which the steps set out, near a displacement."""
+        """Return the equilibrium from which the steps start, near a displacement."""
         target = self.program.at(t)
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchor = self.loaded.contact.positions(displacement)
@@ -107,9 +107,7 @@ class LoadControl:
     def _to(
         self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap], halvings: int = MOST_HALVINGS
     ) -> list[LargeSolution]:
-        """Return the equilibria on the way to a load factor: of one step, or of the halves of one that does not
-        converge.
-        """
+        """Return the equilibria up to a load factor, in one step, or in halves if it does not converge."""
         try:
             return [self._next(before, t, notes, snaps)]
         except NotConverged as error:
@@ -155,8 +153,8 @@ class LoadControl:
         return solution
 
     def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
-        """Say whether a crest of the energy lies between two equilibria: a negative motion, between their
-        displacements, that keeps ties and the contacts that push at both ends.
+        """Return whether an energy barrier lies between two equilibria: a motion of negative energy, at a point
+        between, that satisfies ties and the contacts with force at both ends.
         """
         start, motion = before.displacement, balance.now.displacement - before.displacement
         if before.negative or not np.any(motion):
@@ -172,8 +170,8 @@ class LoadControl:
         return False
 
     def _slack(self, before: LargeSolution) -> bool:
-        """Say whether nothing is loaded and some motion has no stiffness, as of a chain: it takes its shape from the
-        first load, and what moves far then has not snapped.
+        """Return whether nothing is loaded and some motion has no stiffness, as for a chain, whose large first
+        displacement is no jump.
         """
         if np.any(before.load) or np.any(before.normal_force):
             return False
@@ -182,7 +180,7 @@ class LoadControl:
         return bool(negative_on(sp.csc_array(K - least * sp.identity(K.shape[0])), self.loaded.tie))
 
     def _jump(self, before: LargeSolution, balance: Balance, t: float) -> Snap | None:
-        """Return the jump in a step whose displacement does not shrink with it, or None."""
+        """Return the jump in a step whose displacement does not decrease with the step size, or None."""
         low, high = before.load_factor, t
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)
@@ -214,7 +212,7 @@ def forces_of(solution: LargeSolution) -> Forces:
 def large_solution(
     loaded: LoadedBody, balance: Balance, target: Target, load_factor: float, settings: NewtonSettings
 ) -> LargeSolution:
-    """Return the equilibrium with the certificate of its last Newton step, and say whether it is stable.
+    """Return the equilibrium with the certificate of its last Newton step, and its stability.
 
     Raises NotCertified: the certificate refuses the answer of an exact method.
 
@@ -278,7 +276,7 @@ def large_solution(
 
 
 def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
-    """Count the motions that lower the energy and leave ties, pushing contacts and sticking ones as they are."""
+    """Return the number of motions of negative energy that keep ties, contacts with force and sticking contacts."""
     K = loaded.hessian(balance.now, balance.forces)
     if positive_semidefinite(K):
         return 0
@@ -293,7 +291,7 @@ def negative_motions(loaded: LoadedBody, balance: Balance) -> int:
 
 @dataclass(frozen=True, eq=False)
 class HeldOpen:
-    """A contact geometry with gaps that are widened, so that some contacts cannot close."""
+    """A contact geometry with widened gaps, so that some contacts cannot close."""
 
     geometry: ContactGeometry
     offset: Vector  # (m,) added to the gaps [length]
@@ -304,16 +302,16 @@ class HeldOpen:
         return self.geometry.contacts
 
     def state(self, displacement: Vector) -> LinearisedContacts:
-        """Return the contacts at a displacement, with the wider gaps."""
+        """Return the contacts at a displacement, with widened gaps."""
         state = self.geometry.state(displacement)
         return replace(state, gap=state.gap + self.offset)
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Return the curvature of the geometry, which wider gaps leave as it is."""
+        """Return the curvature of the geometry, which does not depend on gaps."""
         return self.geometry.curvature(displacement, normal_force)
 
     def slip_since(self, displacement: Vector, anchor: Vector) -> Vector:
-        """Return the slips since the anchors, which wider gaps leave as they are."""
+        """Return the slips since the anchors, which do not depend on gaps."""
         return self.geometry.slip_since(displacement, anchor)
 
     def positions(self, displacement: Vector) -> Vector:
@@ -330,8 +328,8 @@ def balance_with_anchors(
 ) -> tuple[Balance, Array]:
     """Return the balance at the end of a step, and the anchors (m, d) of its slips.
 
-    A contact that touched is anchored where it was. One that closes is anchored where it would have met the obstacle
-    had it gone on without it: at the fraction of the step at which the gap of that motion vanishes.
+    A contact that touched is anchored at its previous position. One that closes is anchored where the motion without
+    this contact reaches the obstacle, at the fraction of the step at which its gap vanishes.
 
     Parameters
     ----------
@@ -349,7 +347,7 @@ def balance_with_anchors(
     try:
         beyond = solve_with(free, position)
         end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
-    except NotConverged:  # without the contact nothing holds the body: where it lands is all that is known
+    except NotConverged:  # without the contact the body is not held, so that only its final position is known
         end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
     fraction = np.clip(gap / np.maximum(gap - reached, TINY), 0.0, 1.0)
     anchor[closes] += (fraction[:, None] * (end - position))[closes]

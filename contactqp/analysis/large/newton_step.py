@@ -1,7 +1,7 @@
-"""One step of Newton's method with inequality constraints: a contact problem in the increment (SQP).
+"""Compute one step of Newton's method with inequality constraints, a contact problem in the increment (SQP).
 
-The step is the minimum of a convex contact problem where the tangent allows that; elsewhere the tangent is shifted, or
-the closed set is found by signs (`active_kkt`).
+The step is the minimum of a convex contact problem if possible; otherwise the tangent is shifted, or the closed set is
+found by signs (`active_kkt`).
 """
 
 from __future__ import annotations
@@ -29,34 +29,35 @@ from contactqp.model.solution import Candidate, FreeMotion, Solution, Work
 from contactqp.solving.methods import find
 from contactqp.solving.solve import begin, solve
 
-# How far beyond its lowest eigenvalue an indefinite tangent is shifted, and a singular one, of its largest diagonal.
+# The shift of an indefinite tangent relative to its lowest eigenvalue, and of a singular one relative to its largest
+# diagonal entry.
 BEYOND = 1.2
 SINGULAR_SHIFT = 1e-3
-# Stiffnesses along ties that are tried, over the largest diagonal of the tangent.
+# Stiffnesses along ties to be tried, relative to the largest diagonal entry of the tangent.
 ALONG_TIES = (1.0, 1e2)
-# Condensed, the step that is returned is the least where nothing holds: where a cable hangs straight, say.
+# By condensation the step of least norm is returned along unresisted motions, for instance of a straight cable.
 LEAST_STEP = {"condense": True}
-# Options of `solve` with which it runs a method and refines its answer.
+# Options with which `solve` runs a method and refines its answer.
 REFINED = {"condense", "tolerance", "polish"}
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """The loads, tie values and slip origins that are to be brought into balance."""
+    """The loads, tie values and slip origins of an equilibrium."""
 
     load: Vector  # (n,)
     tie_value: Vector  # (k,) A u
-    anchor: Array | None = None  # (m, d) where the slips of the step are counted from, with friction
-    largest_load: float = 0.0  # of the whole path
+    anchor: Array | None = None  # (m, d) slip origins of the step, with friction
+    largest_load: float = 0.0  # the largest force of the whole path
     largest_tie_value: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonSettings:
-    """How the steps are solved, and when they end."""
+    """Options of the solution of steps, and stopping criteria."""
 
     method: str = "active-set"
-    exact: bool = True  # whether the method enforces contact, not approximates it
+    exact: bool = True  # whether the method enforces contact exactly
     options: dict[str, Any] = field(default_factory=dict)
     tolerance: float = 1e-12
     max_iter: int = 50
@@ -64,25 +65,25 @@ class NewtonSettings:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What is kept of a method's answer to a step, for the next step to start from and for the solution in the end."""
+    """The data of a method's answer to a step for the start of the next step and for the final solution."""
 
     start: Candidate
     free_motions: tuple[FreeMotion, ...]
     method: str
     work: Work
-    solution: Solution | None = None  # where the answer was certified
+    solution: Solution | None = None  # if the answer was certified
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """An increment, with the forces after it and the problem that both solve."""
+    """An increment with its forces and its problem."""
 
     problem: ContactProblem  # in the increment
     increment: Vector  # (n,) du
     forces: Forces
-    shift: float = 0.0  # that a tangent without a way down was given [force / length]
-    springs: float = 0.0  # that an indefinite tangent was given in `problem`, relaxed at du [force / length]
-    found: Found | None = None  # where a method of `solve` found it
+    shift: float = 0.0  # added to a tangent without a descent direction [force / length]
+    springs: float = 0.0  # added to an indefinite tangent in `problem`, with springs relaxed at du [force / length]
+    found: Found | None = None  # if it was found by a method of `solve`
 
 
 def newton_step(
@@ -96,10 +97,10 @@ def newton_step(
 ) -> NewtonStep:
     """Return the minimum of 1/2 du'K du - r'du over E_N du <= gap and A du = b - A u, with friction if there is any.
 
-    Where K is indefinite across the ties alone, stiffness along them makes the problem convex and is no other problem.
-    Where K is indefinite but has positive energy on the motions that keep the closed contacts closed, that is a local
-    minimum: its closed set is found by signs. Where it has not, no step leads to a minimum; K is then shifted,
-    K + shift 1, which leads down and leaves every equilibrium where it is. The step says so.
+    If K is indefinite only on motions that violate ties, additional stiffness along ties makes the problem convex
+    without changing its solution. If K is indefinite but has positive energy on the motions with closed contacts, this
+    is a local minimum, whose closed set is found by signs. Otherwise no step leads to a minimum, and K + shift 1 is
+    used, which gives a descent direction and does not change equilibria; `shift` is stored in the step.
 
     Raises Unsupported: an indefinite tangent and a method that is convex, or friction in space; NotConverged: the step
     has no answer.
@@ -119,7 +120,7 @@ def newton_step(
         along = _stiffness_along_ties(loaded, K)
         if along is None:
             return _indefinite(loaded, now, K, target, settings, forces)
-        # A u = b is known: springs along the ties that are relaxed there change neither the answer nor its forces.
+        # Springs along ties, relaxed at A u = b, change neither the answer nor its forces.
         stiff = sp.csc_array(K + along * (loaded.tie.T @ loaded.tie))
         load = load + along * (loaded.tie.T @ (target.tie_value - loaded.tie @ now.displacement))
     problem = loaded.step_problem(now, stiff, load, target.tie_value, slipped(loaded, now, target))
@@ -128,12 +129,12 @@ def newton_step(
     except NoEquilibrium as error:
         if settings.method != "active-set" or problem.frictional:
             raise NotConverged(f"a step of Newton's method has no answer: {error}") from error
-    # A mechanism without stiffness, which its load drives: it gains stiffness as it moves.
+    # A mechanism without stiffness driven by its load, which gains stiffness as it moves.
     return _shifted(loaded, now, K, target, settings, SINGULAR_SHIFT * float(np.max(abs(K.diagonal()))))
 
 
 def _stiffness_along_ties(loaded: LoadedBody, K: Any) -> float | None:
-    """Return c so that K + c A'A is positive semidefinite, or None if no stiffness along the ties achieves that."""
+    """Return c such that K + c A'A is positive semidefinite, None if there is none."""
     square = sp.csc_array(loaded.tie.T @ loaded.tie)
     if not square.nnz:
         return None
@@ -152,9 +153,9 @@ def slipped(loaded: LoadedBody, now: Instant, target: Target) -> Array | None:
 
 
 def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactProblem:
-    """Restate a problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
+    """Return a problem in the increment as one in the displacement: K u = r + K u_0, E u <= g + E u_0 and so on.
 
-    At the end of Newton's method increments are rounding; lengths and forces are to be measured against the whole.
+    Near convergence increments are of rounding size, and lengths and forces must be measured relative to the whole.
     """
     changes: dict[str, Any] = {}
     if problem.tangent is not None and problem.slip_origin is not None:
@@ -169,11 +170,11 @@ def in_displacement(problem: ContactProblem, displacement: Vector) -> ContactPro
 
 
 def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, before: NewtonStep | None) -> NewtonStep:
-    """Solve by a method of `solve`; an answer that its certificate refuses is judged again at the end, in the
+    """Solve by a method of `solve`; an answer refused by its certificate is judged again at the end, in the
     displacement.
 
-    Without friction the unknown is the increment: what nothing holds stays where it is. With friction it is the
-    displacement, against whose size a slip is told from rounding.
+    Without friction the unknown is the increment, so that unresisted motions do not change. With friction it is the
+    displacement, whose size determines the rounding of slips.
     """
     known = None if before is None or not settings.exact else before.found
     if (refined := _refined(problem, settings, None if known is None else known.start)) is not None:
@@ -194,9 +195,9 @@ def _solved(problem: ContactProblem, now: Instant, settings: NewtonSettings, bef
 
 
 def _refined(problem: ContactProblem, settings: NewtonSettings, start: Candidate | None) -> NewtonStep | None:
-    """Return the answer of a method without friction, refined on its set of closed contacts, where its signs hold.
+    """Return the answer of a method without friction, refined on its set of closed contacts, if its signs agree.
 
-    It gets no certificate: the converged step has one. None where that is not all that `solve` does.
+    It is not certified, as the converged step will be. None if `solve` would do more than that.
     """
     options = LEAST_STEP | settings.options
     plain = settings.exact and find(settings.method).polish and set(options) <= REFINED and options.get("polish", True)
@@ -237,7 +238,7 @@ def _indefinite(
         pass
     else:
         rows = sp.vstack([contact.normal[np.flatnonzero(closed)], loaded.tie], format="csr")
-        # On the way to contacts that were open the energy may rise all the same.
+        # The energy may still rise until open contacts close.
         inside = np.all(contact.gap >= -contact.rounding) and not np.any(value)
         if not negative_on(K, rows) and (not inside or r @ du >= -float(contact.rounding @ normal)):
             return stationary_step(loaded, now, K, target, du, Forces(normal, tie))
@@ -245,9 +246,7 @@ def _indefinite(
 
 
 def _indefinite_with_friction(loaded: LoadedBody, now: Instant, K: Any, target: Target, forces: Forces) -> NewtonStep:
-    """Find the states of stick and slip by signs; friction has no energy that could tell whether the answer is
-    stable.
-    """
+    """Return the step with stick and slip found by signs; stability cannot be determined with friction."""
     step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
     origin = step.problem.slip_origin
     if origin is not None and origin.shape[1] != 1:
@@ -274,11 +273,11 @@ def _shifted(
 def stationary_step(
     loaded: LoadedBody, now: Instant, K: Any, target: Target, du: Vector, forces: Forces, grazing: int | None = None
 ) -> NewtonStep:
-    """Return an increment and forces that balance, K semidefinite or not, as the solution of a contact problem.
+    """Return an increment and forces in equilibrium, for any K, as the solution of a contact problem.
 
-    Where K is not, the problem is that of the body on springs that are relaxed at the increment, K + s 1 with the load
-    r + s du: it has the same balance and the same signs, and says nothing about stability. A contact that grazes, with
-    no force at gap 0, has a gap that is wider by its rounding: on the other side of zero it would have a force.
+    If K is indefinite, springs relaxed at the increment are added, K + s 1 with the load r + s du, with the same
+    equilibrium and signs but no information on stability. The gap of a grazing contact, with neither gap nor force, is
+    increased by its rounding, as it would have a force otherwise.
 
     Parameters
     ----------

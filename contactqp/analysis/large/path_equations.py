@@ -1,4 +1,6 @@
-"""Equilibria of unknown load: balance on a set of closed contacts and one more equation, the control."""
+"""Compute equilibria of unknown load: equilibrium on a set of closed contacts with an additional equation, the
+control.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,14 @@ from contactqp.analysis.large.newton_step import NewtonSettings, Target, station
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.arrays import Mask, Vector, refuse_late
 
-# Newton's method on a fixed set either converges in a few steps or not at all.
+# The most Newton steps; on a fixed set a few suffice, or it fails.
 ITERATIONS = 20
-# Two directions whose angle has a lower cosine are too far apart for neighbours on a path.
+# The least cosine of the angle between directions of successive points on a path.
 SHARP = 0.5
 
 
 class Control(Protocol):
-    """The equation c(u, t) = 0 that picks a point of the path; c is a length."""
+    """The equation c(u, t) = 0 that determines a point of the path; c is a length."""
 
     def value(self, now: Instant, t: float) -> float:
         """Return c [length]."""
@@ -55,13 +57,13 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """The control that gives one unknown a value."""
+    """The control that prescribes the value of one unknown."""
 
     place: int
     wanted: float
 
     def value(self, now: Instant, t: float) -> float:  # noqa: ARG002
-        """Return u_j minus the wanted value."""
+        """Return u_j minus the prescribed value."""
         return float(now.displacement[self.place] - self.wanted)
 
     def row(self, now: Instant, t: float) -> tuple[Vector, float]:  # noqa: ARG002
@@ -73,7 +75,7 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """The control that a contact touches without force: where it closes or opens."""
+    """The control that a contact touches without force, where it closes or opens."""
 
     contact: int
 
@@ -109,7 +111,7 @@ class Direction:
     load_factor: float  # t'
     normal: Vector  # (m,) rates of the normal forces
     tie: Vector
-    sense: float  # the sign of the determinant of the equations' derivatives with this direction as the last row
+    sense: float  # sign of the determinant of the derivatives of the equations with this direction as the last row
 
     def turned(self) -> Direction:
         """Return the opposite direction along the path."""
@@ -134,8 +136,8 @@ class PathEquations:
     def point(
         self, u: Vector, t: float, forces: Forces, closed: Mask, control: Control, *, finished: bool = True
     ) -> PathPoint:
-        """Find the equilibrium near a guess, by Newton's method on the closed contacts; open contacts are not
-        checked.
+        """Return the equilibrium near a guess by Newton's method on the closed contacts, without checking open
+        contacts.
 
         Parameters
         ----------
@@ -187,8 +189,7 @@ class PathEquations:
     def direction(
         self, point: PathPoint, closed: Mask, row: Vector, row_t: float, row_forces: Vector | None = None
     ) -> Direction:
-        """Return the tangent of the path on a set of closed contacts, pointing to where row.v + row_t t' + ... is
-        positive.
+        """Return the tangent of the path on a set of closed contacts with positive row.v + row_t t' + ...
 
         Parameters
         ----------
@@ -204,7 +205,7 @@ class PathEquations:
         Raises
         ------
         NotConverged
-            There is none, or several: a bifurcation.
+            There is none, or several (a bifurcation).
         """
         B, now = np.flatnonzero(closed), point.now
         K = self.loaded.hessian(now, point.forces)
@@ -217,15 +218,15 @@ class PathEquations:
         length = size * float(np.hypot(np.linalg.norm(v / size), self.scale * rate / size))
         if not np.isfinite(length) or length == 0:
             raise NotConverged("the path has no direction there")
-        # The determinant is linear in its last row and vanishes across the direction, so this is its sign with the
-        # direction as the last row, too.
+        # The determinant is linear in its last row and vanishes for rows orthogonal to the direction, so that this is
+        # also its sign with the direction as the last row.
         return Direction(v / length, rate / length, normal / length, tie / length, determinant_sign(matrix))
 
     def onwards(self, point: PathPoint, closed: Mask, before: Direction) -> Direction:
         """Return the tangent that continues a direction.
 
-        Along a path the sign of the determinant stays, however sharply it turns; it changes where other paths branch
-        off, which a path crosses without a turn. At a limit of the load the displacement does not turn either.
+        Along a path the sign of the determinant is constant, even at sharp turns; it changes at branch points, which a
+        path crosses without a turn. At a limit of the load the displacement does not turn either.
         """
         found = self.direction(point, closed, before.displacement, self.scale**2 * before.load_factor)
         v, w = found.displacement, before.displacement

@@ -1,6 +1,6 @@
-"""Paths through limit points, by arc length or by displacement control, from contact event to contact event.
+"""Follow paths through limit points, by arc length or displacement control, from contact event to contact event.
 
-A path that breaks off raises with the history so far.
+If a path breaks off, the error has the history so far.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from contactqp.errors import NotConverged
 from contactqp.model.arrays import EPS, Mask, Vector
 from contactqp.model.solution import Answer
 
-# Halvings of a step that fails.
+# The most halvings of a failing step.
 HALVINGS = 12
-# A contact force below this part of the largest force that acts is rounding.
+# Contact forces below this part of the largest force are rounding.
 TENSION = 1e-12
-# An unknown moves if this part of the path is along it.
+# The least component of the direction along an unknown that counts as moving.
 STILL = 1e-12
-# An unknown has reached its value when this part of its whole change remains.
+# An unknown has reached its value if this part of its whole change remains.
 REACHED = 1e-13
 
 
@@ -60,7 +60,7 @@ class ByArc:
         return Sphere(start.displacement, start.load_factor, path.scale, part * self.radius)
 
     def length(self, direction: Direction, part: float) -> float:  # noqa: ARG002
-        """Return how far to go along the direction for the guess."""
+        """Return the length along the direction to the guess."""
         return part * self.radius
 
 
@@ -69,10 +69,10 @@ class ByUnknown:
     """Steps to a value of one unknown."""
 
     place: int
-    change: float  # from the start of the step
+    change: float  # change from the start of the step
 
     def control(self, path: PathEquations, start: PathPoint, direction: Direction, part: float) -> Control:  # noqa: ARG002
-        """Return the control that u_j is its value at the start plus a part of the change.
+        """Return the control u_j = its value at the start plus a part of the change.
 
         Parameters
         ----------
@@ -87,12 +87,12 @@ class ByUnknown:
         return Unknown(self.place, start.displacement[self.place] + part * self.change)
 
     def length(self, direction: Direction, part: float) -> float:
-        """Return how far to go along the direction for the guess.
+        """Return the length along the direction to the guess.
 
         Raises
         ------
         NotConverged
-            The path goes on the other way, or not along that unknown at all.
+            The path continues in the opposite direction, or not along that unknown.
         """
         rate = float(direction.displacement[self.place])
         if rate * self.change <= STILL * abs(self.change):
@@ -104,7 +104,7 @@ Pace = ByArc | ByUnknown
 
 
 class PathFollower:
-    """One path, followed point by point; events and limit points are points of their own."""
+    """A path followed point by point, with separate points at events and limit points."""
 
     def __init__(self, path: PathEquations, start: LargeSolution, towards: ByUnknown | None = None) -> None:
         self.path = path
@@ -112,7 +112,7 @@ class PathFollower:
         self.notes: list[str] = []
         self.limit_points: list[LimitPoint] = []
         self.events: list[Event] = []
-        self._negative: int | None = start.negative  # on the contacts that are closed on leaving, where that is known
+        self._negative: int | None = start.negative  # on the contacts closed after the point, if known
         self._point = PathPoint(path.loaded.at(start.displacement), start.load_factor, forces_of(start))
         self._closed = start.normal_force > 0
         sense = float(np.sign(start.load_rate))
@@ -120,7 +120,7 @@ class PathFollower:
         if towards is not None and ahead.displacement[towards.place] * towards.change < 0:
             closed, ahead = self._set_out(-sense)
         if start.load_scale == 0:
-            # As long as the displacement that a unit of load makes at the start, or has made up to it.
+            # The displacement per unit of load at the start, or up to it.
             size = float(np.linalg.norm(ahead.displacement)) / abs(ahead.load_factor)
             far, load = float(np.linalg.norm(start.displacement)), abs(start.load_factor)
             self.path = replace(path, scale=size or (far / load if far and load else 1.0))
@@ -150,7 +150,7 @@ class PathFollower:
         return self._direction
 
     def _first_closed(self, touching: Mask, sense: float) -> Mask:
-        """Return the contacts that are closed: of those that touch without force, those that the load presses."""
+        """Return the closed contacts, including those that touch without force if the load presses them."""
         now, path = self._point.now, self.path
         which = np.flatnonzero(touching)
         K = path.loaded.hessian(now, self._point.forces)
@@ -165,7 +165,7 @@ class PathFollower:
         return closed
 
     def advance(self, pace: Pace) -> None:
-        """Take one step, or the part of it up to where a contact closes or opens.
+        """Advance by one step, or up to the first contact that closes or opens.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class PathFollower:
         raise NotConverged(f"no part of a step along the path converges: {failure}") from failure
 
     def _refuse_sharp(self, point: PathPoint, onwards: Direction) -> None:
-        """Raise where the path has turned too sharply for a point to be the next one, or has gone back."""
+        """Raise NotConverged if the path turns too sharply to a point, or goes back."""
         start, ahead, path = self._point, self._direction, self.path
         moved, risen = point.displacement - start.displacement, point.load_factor - start.load_factor
         for direction in (ahead, onwards):
@@ -201,7 +201,7 @@ class PathFollower:
             raise NotConverged("the path turns sharply")
 
     def _to(self, pace: Pace, part: float, *, finished: bool = True) -> PathPoint:
-        """Return the point at a part of the step on the contacts that are closed now."""
+        """Return the point at a part of the step on the currently closed contacts."""
         start, ahead = self._point, self._direction
         far = pace.length(ahead, part)
         forces = replace(
@@ -214,7 +214,7 @@ class PathFollower:
         return self.path.point(u, t, forces, self._closed, control, finished=finished)
 
     def _first_event(self, point: PathPoint) -> tuple[int, PathPoint] | None:
-        """Return the contact that first closes or opens before a point, and where it does."""
+        """Return the contact that first closes or opens before a point, and the part of the step."""
         found: tuple[int, PathPoint] | None = None
         for _ in range(2 * self.path.loaded.contacts + 1):
             wrong = self._fractions(point)
@@ -231,7 +231,7 @@ class PathFollower:
         raise NotConverged("contacts close and open one before the other")
 
     def _fractions(self, point: PathPoint) -> dict[int, float]:
-        """Return, for every contact that overlaps or pulls at a point, where on a straight line it began to."""
+        """Return for every contact with overlap or tension at a point where it began, by linear interpolation."""
         before, gap, force = self._point, point.now.contact.gap, point.forces.normal
         tension = TENSION * max(point.forces.largest, float(np.max(abs(point.now.internal), initial=0.0)))
         overlaps = ~self._closed & (gap < -point.now.contact.rounding)
@@ -243,7 +243,7 @@ class PathFollower:
         return found
 
     def _switch(self, contact: int, point: PathPoint, pace: Pace, part: float) -> None:
-        """Close or open the contact at the point, and turn the path."""
+        """Close or open the contact at the point, and change the direction of the path."""
         path, opens = self.path, bool(self._closed[contact])
         without = self._closed.copy()
         without[contact] = False
@@ -293,7 +293,7 @@ class PathFollower:
         self._point, self._closed, self._direction = point, closed, leaving
 
     def _limit(self, end: PathPoint, pace: Pace, part: float) -> LimitPoint:
-        """Find where t' vanishes between the last point and the next, by bracketing its root."""
+        """Return the limit point, where t' vanishes between the last point and the next, by bracketing."""
         from scipy.optimize import brentq
 
         if isinstance(pace, ByArc):
@@ -326,8 +326,7 @@ class PathControl:
     settings: NewtonSettings
 
     def follow_arc(self, start: Vector | LargeSolution, steps: int, radius: float | None) -> LargeHistory:
-        """Take a number of steps of one arc length; by default a step is as long as a `steps`-th of the load takes
-        at the start.
+        """Follow steps of equal arc length, by default that of 1/`steps` of the load at the start.
 
         Raises NotConverged: with the history so far.
         """
@@ -338,7 +337,7 @@ class PathControl:
         return follower.history
 
     def follow_unknown(self, start: Vector | LargeSolution, steps: int, place: int, wanted: float) -> LargeHistory:
-        """Take a number of equal steps of one unknown to a value.
+        """Follow equal steps of one unknown up to a value.
 
         Raises NotConverged: with the history so far.
 

@@ -1,1 +1,1 @@
-"""Motions with contact: mass matrices, the steps of a motion, its schemes and its history."""
+"""Compute motions with contact: mass matrices, time steps, schemes and histories."""

@@ -1,7 +1,7 @@
-"""The mass matrix of a motion: what is accepted as one, mass taken from the nodes that touch, and frequencies.
+"""Check mass matrices, remove mass from contact nodes, and compute frequencies.
 
 The critical step is the longest time step of central differences, 2 over the highest frequency. The slowest vibration
-that an impact starts tells how long it lasts.
+excited by an impact determines its duration.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from contactqp.model.arrays import Array, Indices, Mask, Vector, own_floating_po
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, read_matrix
 
-# Entries of a symmetric matrix that differ by this part of their diagonals are printed digits.
+# The relative asymmetry that may be due to printed digits.
 ASYMMETRY = 1e-6
-# Rounding and print precision leave a semidefinite mass, scaled to a diagonal of one, pivots as negative as this.
+# The most negative pivot of a semidefinite mass, scaled to a diagonal of one, due to rounding and printing.
 INDEFINITE = 1e-6
-# Rigid motions keep their mass to this part of it.
+# The relative accuracy of the mass of rigid motions.
 KEPT = 1e-9
-# Up to here all frequencies are found at once.
+# The largest size for which all frequencies are computed.
 DENSE_SIZE = 200
-# Frequencies whose share of a step's operator is this near to one are rigid motions, or well resolved.
+# Frequencies whose inertial part of a step's operator is this close to one are rigid motions, or well resolved.
 RESOLVED_SHARE = 1e-9
-# Enough to part the slowest vibration from others where the step is long; and where a known shape should do.
+# Lanczos steps for separating the slowest vibration with a long step, and with a known shape.
 LANCZOS_STEPS, STEPS_FROM_KNOWN = 24, 2
-# Shares below this are the rounding of motions that contacts hold: a step would last for a million contacts.
+# Ratios below this are rounding of motions held by contacts: a step would be a million times too long.
 HELD = 1e-13
-# A vector that this part is left of lies in the space that was spanned before.
+# A vector reduced to this part by orthogonalisation lies in the previous space.
 SPANNED = 1e-12
-# The cure where contacts act on all unknowns of a body, as on a single mass, and leave none for its mass.
+# The advice if contacts act on all unknowns of a body, such as a single mass.
 OTHERWISE = "take the scheme 'moreau-jean', which lets contacts have mass, or a finer mesh"
 
 
 def read_mass(mass: Any, n: int) -> Any:
     """Return M (n, n) CSR from a dense or sparse matrix, or from the diagonal (n,) of a lumped one; a number for n = 1.
 
-    Raises InvalidProblem: another shape, values that are not finite, an asymmetric or indefinite matrix, mass that
-    couples to an unknown that has none.
+    Raises InvalidProblem: another shape, values that are not finite, an asymmetric or indefinite matrix, mass coupled
+    to an unknown without mass.
     """
     values = read_matrix("mass", mass) if sp.issparse(mass) else read_array("mass", mass)
     values = values.reshape(1) if values.ndim == 0 and n == 1 else values
@@ -59,7 +59,7 @@ def read_mass(mass: Any, n: int) -> Any:
         j = int(np.argmin(diagonal))
         raise InvalidProblem(f"mass: expected no negative diagonal, got {diagonal[j]:g} at unknown {j}")
     entries = M.tocoo()
-    root = np.sqrt(diagonal)  # apart: a product of two small masses is no number
+    root = np.sqrt(diagonal)  # separate roots, as a product of two small masses underflows
     scale = root[entries.row] * root[entries.col]
     if np.any((scale == 0) & (entries.data != 0)):
         raise InvalidProblem("mass: an unknown without mass of its own is coupled to others: not positive semidefinite")
@@ -73,7 +73,9 @@ def read_mass(mass: Any, n: int) -> Any:
 
 
 def _refuse_indefinite(M: Any) -> None:
-    """Raise for an indefinite mass: it creates energy, and the stiffness that a step adds may hide it."""
+    """Raise InvalidProblem for an indefinite mass, which creates energy and may be hidden by the stiffness of a
+    step.
+    """
     diagonal = M.diagonal()
     moving = np.flatnonzero(diagonal > 0)
     if not (M - sp.diags(diagonal)).count_nonzero():
@@ -85,12 +87,12 @@ def _refuse_indefinite(M: Any) -> None:
 
 
 def massless(mass: Any) -> Mask:
-    """Return which unknowns are without mass, (n,)."""
+    """Return the unknowns without mass, (n,)."""
     return np.asarray(mass.diagonal() == 0)
 
 
 def touched(problem: ContactProblem) -> Indices:
-    """Return the unknowns that contacts act on: those of E_N, with friction also those of E_T."""
+    """Return the unknowns touched by E_N, with friction also those of E_T."""
     rows = [problem.normal]
     if problem.frictional and problem.tangent is not None:
         rows.append(problem.tangent)
@@ -102,10 +104,10 @@ def touched(problem: ContactProblem) -> Indices:
 def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     """Return a mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
 
-    Their rows and columns become zero. What they had goes to their neighbours, as a diagonal change of least size that
-    keeps z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
-    those that the stiffness couples, then the neighbours of these, until the conditions can be met. Of a body that is
-    held, whose rigid motions matrices do not tell, the sum of the rows is kept.
+    Their rows and columns become zero. Their mass is added to neighbours, as the smallest diagonal change that
+    preserves z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
+    those coupled by the stiffness, then their neighbours, until this is possible. For supported bodies, whose rigid
+    motions are unknown, the sum of the rows is preserved.
 
     Parameters
     ----------
@@ -119,7 +121,7 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     Raises
     ------
     InvalidProblem
-        All unknowns of a body touch, or the mass that is left would be negative.
+        Contacts act on all unknowns of a body, or the remaining mass would be negative.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -145,14 +147,12 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
 
 
 def _on_neighbours(graph: Any, M: Any, left: Any, bare: Mask, kept: Mask, Z: Array) -> Vector:
-    """Return the diagonal change (n,) on one body that keeps Z'MZ, on as small a number of rings of neighbours as
-    can.
-    """
+    """Return the diagonal change (n,) on one body that preserves Z'MZ, on the fewest rings of neighbours."""
     pairs = [(a, b) for a in range(Z.shape[1]) for b in range(a, Z.shape[1])]
     missing = np.array([Z[:, a] @ ((M - left) @ Z[:, b]) for a, b in pairs])
     rows = np.array([Z[:, a] * Z[:, b] for a, b in pairs]).reshape(len(pairs), len(bare))
     size = abs(rows) @ np.asarray(M.diagonal())
-    if not pairs:  # a held body: what the bare rows sum to
+    if not pairs:  # a supported body: the sum of the removed rows
         missing, rows, size = np.array([np.sum(M[bare])]), np.ones((1, len(bare))), np.array([M.diagonal().sum()])
     near = bare
     while True:
@@ -174,7 +174,7 @@ def critical_step(mass: Any, stiffness: Any) -> float:
     """Return 2 / omega, omega the highest frequency of K x = omega^2 M x on the unknowns with mass [time]; inf
     without any.
 
-    Unknowns without mass are held: that makes frequencies no lower.
+    Unknowns without mass are fixed, which does not reduce frequencies.
     """
     moving = np.flatnonzero(mass.diagonal() > 0)
     K = sp.csr_matrix(stiffness)[moving][:, moving]
@@ -203,10 +203,10 @@ def slowest_frequency(
     enough: float = 0.0,
     known: Vector | None = None,
 ) -> tuple[float | None, Vector | None]:
-    """Return the slowest frequency that an impact excites, omega [1 / time], and the shape of that vibration.
+    """Return the slowest frequency excited by an impact, omega [1 / time], and its shape.
 
-    Both are None where all motions are rigid. The search ends at a frequency that is `enough`: Lanczos' method has one
-    within the size of the residual of its approximation (Parlett 1998, section 4.5), and slower ones would not matter.
+    Both are None if all motions are rigid. The search ends at a frequency that is `enough`, as slower ones do not
+    matter; Lanczos' method has one within the residual of its approximation (Parlett 1998, section 4.5).
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def _frequency(inertia: float, share: float) -> float:
 def _slowest(
     answer: Callable[[Vector], Vector], mass: Any, vector: Vector, enough: float, most: int
 ) -> tuple[float, Vector | None]:
-    """Return the largest share of a vibration and its shape by Lanczos' method; 0 and None where there is none.
+    """Return the largest ratio of a vibration and its shape by Lanczos' method, 0 and None without vibrations.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def _slowest(
     most : the largest number of steps
     """
     basis: list[Vector] = []
-    weighed: list[Vector] = []  # M times these
+    weighed: list[Vector] = []  # M times these vectors
     operator, reference = np.zeros((most, most)), 0.0
     largest, shape = 0.0, None
     size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
@@ -265,7 +265,7 @@ def _slowest(
         reference = float(np.sqrt(max(float(vector @ (mass @ vector)), 0.0)))
         if not np.isfinite(reference):
             break
-        for _ in range(2):  # the second time takes out the rounding of the first
+        for _ in range(2):  # repeated because of rounding
             for other, weight in zip(basis, weighed, strict=True):
                 vector = vector - (weight @ vector) * other
         size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))

@@ -1,4 +1,4 @@
-"""The history of a motion: states at equal steps, energies and events, and solutions that are certified on access."""
+"""Define the history of a motion: states at equal steps, energies, events, and solutions certified at first access."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.model.summary import wrapped
 from contactqp.solving.solve import solve
 
-# Steps whose energies are found at once.
+# # Steps whose energies are computed at once.
 BLOCK = 256
-# Slip of this part of what moves is rounding, and so is penetration of this part of the lengths that meet.
+# # The relative rounding of slips, and of penetrations.
 SLIPS = PENETRATES = 1e-9
-# A state is what its scheme makes of a step's answer to this part, and to the rounding of displacements' differences.
+# # The relative difference of a state from its scheme's result, in addition to the rounding of displacements.
 SAME, ROUNDED = 1e-9, 64 * EPS
-# Energy that comes from nowhere is noted from this part of what was there or was put in on: central differences, which
-# keep it on average, fluctuate by a few thousandths where vibrations are resolved.
+# # An energy gain above this part of the initial and supplied energy is noted; central differences, which preserve
+# energy # on average, fluctuate by a few thousandths.
 GROWS = 0.05
-# Schemes that make no energy at impacts, to be taken instead of one that does.
+# # Schemes without energy gain at impacts, as alternatives.
 KEEP_ENERGY = ("modified-mass", "moreau-jean")
-# Schemes whose contacts have no mass, so that no impulse stops them.
+# # Schemes without mass at contacts, so that there are no impulses.
 WITHOUT_MASS = ("modified-mass", "modified-mass-central")
 
 
@@ -45,10 +45,10 @@ WITHOUT_MASS = ("modified-mass", "modified-mass-central")
 class Moving(Solution):
     """One instant of a motion.
 
-    `displacement`, `normal_force`, `gap`, `slip` (since the step before) are those of the bodies; forces are those of
-    the step that ended, in Moreau's and Jean's scheme impulses over the time step. `certificate` judges `step_problem`,
-    the contact problem that the scheme posed for the step, in whose unknown the answer was `step_unknown`: where that
-    is a velocity, or a mean of displacements, `gap` may be negative, and `certificate.notes` says by how much.
+    `displacement`, `normal_force`, `gap`, `slip` (since the previous step) are those of the bodies; forces are those of
+    the previous step, in Moreau's and Jean's scheme impulses over the time step. `certificate` judges `step_problem`,
+    the scheme's contact problem of the step with the answer `step_unknown`. If this is a velocity, or a mean of
+    displacements, `gap` may be negative, and `certificate.notes` has the amount.
     """
 
     velocity: Vector = field(default_factory=lambda: np.zeros(0))  # (n,) [length / time]
@@ -59,7 +59,7 @@ class Moving(Solution):
 
 @checks
 class MotionHistory(History):
-    """A `History` of a motion, the start included; `times` are in the user's unit of time, that of the time step."""
+    """A `History` of a motion, including the start; `times` are in the user's unit of time, that of the time step."""
 
     time_label = "time [as time_step]"
 
@@ -94,7 +94,7 @@ class MotionHistory(History):
         return longer
 
     def __copy__(self) -> MotionHistory:
-        """Return the same motion, which shares its states and the solutions that were finished."""
+        """Return the same motion with shared states and finished solutions."""
         twin = MotionHistory(self.motion, partial(tuple, self.notes), self._resume)
         twin._solutions, twin.time_label = self._solutions, self.time_label
         return twin
@@ -103,13 +103,11 @@ class MotionHistory(History):
         return self.__copy__()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: every instant finished, and the loads at all of them. A pickled motion cannot be
-        resumed.
-        """
+        """Return the pickled data: all instants finished, with their loads. A pickled motion cannot be resumed."""
         return super().__getstate__() | dict(_resume=_refuse_to_go_on)
 
     def summary(self) -> str:
-        """Return what `History.summary` does, and that the force of an impact depends on the step."""
+        """Return `History.summary` with the remark that the force of an impact depends on the step."""
         sentences = wrapped(*(f"note: {text}" for text in _notes_on_impulses(self.motion)))
         return "\n".join([super().summary(), *sentences])
 
@@ -120,14 +118,14 @@ class MotionHistory(History):
 
     @property
     def velocities(self) -> Array:
-        """Return the velocities (steps, n) [length / time]; of central differences those half a step before, after
-        the start's.
+        """Return the velocities (steps, n) [length / time]; of central differences those half a step earlier, except at
+        the start.
         """
         return read_only(np.array([state.velocity for state in self.motion.states]))
 
     @property
     def problem(self) -> ContactProblem:
-        """Return the problem of the bodies that move, without their inertia."""
+        """Return the problem of the moving bodies, without inertia."""
         return self.motion.scheme.body.problem
 
     @property
@@ -156,7 +154,7 @@ def _refuse_to_go_on(*_: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Instant:
-    """One state, made a solution and certified on first access."""
+    """One state, converted to a solution and certified at first access."""
 
     motion: Motion
     number: int
@@ -166,7 +164,7 @@ class _Instant:
 
 
 def _solution_at(motion: Motion, k: int) -> Moving:
-    """Return instant k with the certificate of the step that ended there; the start is certified as it was given."""
+    """Return instant k with the certificate of the step that ended there; the start is certified as given."""
     body, state = motion.scheme.body, motion.states[k]
     problem = body.problem.replace(load=motion.load(motion.time(k)))
     before = motion.states[max(k - 1, 0)].displacement
@@ -207,11 +205,11 @@ def _solution_at(motion: Motion, k: int) -> Moving:
 
 
 def _of_nearest_answer(motion: Motion, k: int, step: ContactProblem, found: StepResult) -> Certificate | None:
-    """Return the certificate of the right answer to a step, if what was found is that but for rounding; else None.
+    """Return the certificate of the right answer to a step if the computed one equals it up to rounding, else None.
 
-    Where bodies come to rest under loads that contacts and ties carry, the rounding of these forces is as large as what
-    still moves. An answer x is right beside x* if D |S (x - x*)| is at most AT_REST of the largest D F, F the forces
-    that meet at an unknown, S the stiffness of the step and D = 1/sqrt(S_jj).
+    If bodies come to rest under loads balanced by contacts and ties, the rounding of these forces is as large as the
+    remaining motion. An answer x equals x* if D |S (x - x*)| is at most AT_REST times the largest D F, with F the size
+    of forces at an unknown, S the stiffness of the step and D = 1/sqrt(S_jj).
     """
     try:
         answer = solve(step)
@@ -231,7 +229,7 @@ def _of_nearest_answer(motion: Motion, k: int, step: ContactProblem, found: Step
 
 
 def _not_of_step(motion: Motion, k: int) -> Iterator[str]:
-    """Yield what of instant k is not what its scheme makes of the answer of the step, which alone is certified."""
+    """Yield the quantities of instant k that differ from the scheme's result for the certified answer of the step."""
     if k == 0:
         return
     scheme, before, state = motion.scheme, motion.states[k - 1], motion.states[k]
@@ -253,14 +251,14 @@ def _not_of_step(motion: Motion, k: int) -> Iterator[str]:
 
 
 def notes_on_motion(motion: Motion) -> Iterator[str]:
-    """Yield the notes on a whole motion: those of its scheme, how deep it penetrates, and what energy has grown."""
+    """Yield the notes on a whole motion: of its scheme, on penetration, and on energy gain."""
     yield from motion.scheme.notes(motion.states)
     yield from _notes_on_penetration(motion)
     yield from _notes_on_energy(motion)
 
 
 def _notes_on_energy(motion: Motion) -> Iterator[str]:
-    """Yield by how much the energy has grown at most beyond what was there and what the loads have put in."""
+    """Yield a note on the largest energy gain beyond initial energy and work of loads."""
     found = list(energies(motion))
     total, work, dissipated = np.array([(one.total, one.work, one.dissipated) for one in found]).T
     put_in = total[0] + np.maximum.accumulate(work)
@@ -282,7 +280,7 @@ def _notes_on_energy(motion: Motion) -> Iterator[str]:
 
 
 def _notes_on_penetration(motion: Motion) -> Iterator[str]:
-    """Yield what a scheme that does not hold the gaps at every instant leaves of them at the worst one."""
+    """Yield a note on the largest penetration of a scheme that does not enforce gaps at every instant."""
     problem = motion.scheme.body.problem
     deepest = _deepest(problem, [state.displacement for state in motion.states])
     if deepest is not None:
@@ -291,7 +289,7 @@ def _notes_on_penetration(motion: Motion) -> Iterator[str]:
 
 
 def _notes_on_impulses(motion: Motion) -> Iterator[str]:
-    """Yield what the largest contact force is, where a contact closes with it and the scheme has no contact springs."""
+    """Yield a note on the largest contact force if a contact closes with it and the scheme has no contact springs."""
     forces = np.array([state.normal_force for state in motion.states])
     if motion.scheme.springs is not None or motion.scheme.name in WITHOUT_MASS or not forces.size:
         return
@@ -313,10 +311,10 @@ def _deepest(problem: ContactProblem, displacements: Sequence[Vector]) -> tuple[
         return None
     rows, u = problem.normal, np.array(displacements[:1]).T
     if len(displacements) > 1:
-        touched = np.unique(rows.indices)  # all others take memory alone
+        touched = np.unique(rows.indices)  # the others would only need memory
         rows, u = rows[:, touched], np.array([one[touched] for one in displacements]).T
     limit = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # a motion that blows up
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable motion
         depth, size = (rows @ u).T - problem.gap, (abs(rows) @ abs(u)).T + limit
         depth = np.where(depth > PENETRATES * size, depth, 0.0)
     step, contact = np.unravel_index(int(np.argmax(depth)), depth.shape)
@@ -336,7 +334,7 @@ def _shaped(friction: Vector, problem: ContactProblem) -> Array:
 
 
 def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
-    """Return the problem of the step that ends at k. A contact that it may not close gets a gap that stays open."""
+    """Return the problem of the step that ends at k, with open gaps of contacts that it may not close."""
     template = motion.scheme.templates[-1]
     m, ties = template.contacts, template.ties
     tangential = 0 if template.slip_origin is None else template.slip_origin.size
@@ -364,7 +362,7 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
 
 
 def events(motion: Motion) -> Iterator[Event]:
-    """Return the contacts that begin or cease to push and, with friction, to slip."""
+    """Return the events of contacts that close or open and, with friction, slip or stick."""
     problem = motion.scheme.body.problem
 
     def states() -> Iterator[tuple[Mask, Mask]]:
@@ -390,8 +388,8 @@ def _slips(motion: Motion, before: State, now: State) -> Mask:
 def energies(motion: Motion) -> Iterator[Energies]:
     """Return the energies of every state, computed a block at a time.
 
-    What the normal forces take is their work along the contact motion of the scheme. A scheme that keeps energy without
-    contact has lost to the impact, or gained from it, whatever else is missing after a step beside contact forces.
+    The impact loss is the work of normal forces along the contact motion of the scheme. For a scheme that preserves
+    energy without contact, any further change of energy in a step with contact forces is attributed to the impact.
     """
     scheme, states = motion.scheme, motion.states
     first: float | None = None
@@ -409,7 +407,7 @@ def energies(motion: Motion) -> Iterator[Energies]:
         done = _done(motion, block, loads)
         if scheme.keeps_energy:
             touching = np.any(np.array([s.normal_force for s in around]) > 0, axis=1)
-            near = np.convolve(touching, np.ones(3), "same") > 0  # a predictor acts a step before its force
+            near = np.convolve(touching, np.ones(3), "same") > 0  # a predictor acts one step before its force
             near = near[len(states[max(begin - 1, 0) : begin]) :][: len(block)]
             acting = near[1:] | near[:-1]
             done[1] = np.where(acting, done[0] - done[2] - gain, done[1])
@@ -430,7 +428,7 @@ def _stored(motion: Motion, block: list[State], loads: Array) -> Array:
         elastic += np.sum(np.array([s.normal_force for s in block]) ** 2, axis=1) / (2 * scheme.springs)
     kinetic = scheme.kinetic(u, v, loads)
     if block[0] is motion.states[0]:
-        kinetic[0] = v[0] @ (body.mass @ v[0]) / 2  # as it was given, at one instant
+        kinetic[0] = v[0] @ (body.mass @ v[0]) / 2  # a constant load
     return np.array([elastic, kinetic])
 
 
@@ -474,15 +472,15 @@ class Motion:
     load: Callable[[float], Vector]
     start: float  # time of the first state
     method: str
-    seconds: list[float]  # of all steps, one number
-    work: Callable[[], Any]  # Work so far
+    seconds: list[float]  # one number for all steps
+    work: Callable[[], Any]  # work so far
 
     def __repr__(self) -> str:
         body, states = self.scheme.body, counted("state", len(self.states))
         return f"Motion({self.scheme.name}, {states} a time step of {body.step:g} apart, {body.problem!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is copied or pickled: the states, and the load by its values at their times."""
+        """Return the copied or pickled data: the states, and the values of the load at their times."""
         times = [self.time(k) for k in range(len(self.states))]
         known = TabulatedLoad(tuple(times), np.array([self.load(instant) for instant in times]))
         return self.__dict__ | dict(load=known, work=partial(copy.copy, self.work()))
@@ -491,7 +489,7 @@ class Motion:
         return self.start + k * self.scheme.body.step
 
     def posed(self, k: int) -> tuple[StepProblem, StepResult]:
-        """Return the problem that the scheme stated last for step k, the step that ends at state k, and its result."""
+        """Return the scheme's last problem for step k, which ends at state k, and its result."""
         before, load, next_load = self.states[k - 1], self.load(self.time(k - 1)), self.load(self.time(k))
         *earlier, found = self.scheme.answered(before, self.states[k])
         return self.scheme.pose(before, load, next_load, tuple(earlier)), found
