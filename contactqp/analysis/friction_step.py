@@ -159,7 +159,7 @@ def step_to(
             origin[closing] = touched.settled[closing]
             anchored, early, low = anchored | closing, early | (closing & touched.early), touched
         if touched is None or attempt.failed >= MOST_FAILED:
-            # # Contacts of bodies that move freely until stopped are anchored at the start of the step.
+            # Contacts of bodies that move freely until stopped are anchored at the start of the step.
             early |= ~anchored & (attempt.failed >= MOST_FAILED)
             anchored[:] = True
 

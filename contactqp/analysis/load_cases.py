@@ -26,7 +26,7 @@ from contactqp.model.solution import Answer, Candidate, Solution, Work
 from contactqp.model.summary import Printed, RowsOf, Table, csv_text, number, without_rounding
 from contactqp.solving.solve import begin, solve
 
-# # The most rows printed.
+# The most rows printed.
 PRINTED_ROWS = 40
 
 
@@ -152,11 +152,11 @@ def _rows(instant: int, time: float, solution: Solution) -> Iterator[ContactRow]
         yield ContactRow(instant, time, name, str(status), normal[i], tuple(friction[i]), gap[i])
 
 
-# # The words of `Solution.contact_status` in the order of their codes, and that of a failed case.
+# The words of `Solution.contact_status` in the order of their codes, and that of a failed case.
 STATUS = (*STATUS_WORDS, "unknown")
-# # The most contacts of an envelope, and failed cases, printed.
+# The most contacts of an envelope, and failed cases, printed.
 PRINTED = 20
-# # Numbers checked for NaN at once.
+# Numbers checked for NaN at once.
 BLOCK = 2**21
 # Load cases whose loads are multiplied at once.
 ROWS = 32

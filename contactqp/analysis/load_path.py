@@ -195,7 +195,7 @@ class _Steps(LazySolutions):
         super().__init__()
         self._problem, self._method, self._options = problem, method, options
         self._start: Candidate | None = None
-        # # Without a condensation of all contacts `solve` is used.
+        # Without a condensation of all contacts `solve` is used.
         self._whole = iterated(problem) or contacts_are_many(problem)
         self._step(np.zeros(problem.dimension))
 
@@ -211,7 +211,7 @@ class _Steps(LazySolutions):
         start, end = self._leg
         load = end if fraction == 1 else start + fraction * (end - start)
         if not self._whole:
-            # # The reduced load of a combination is the combination of reduced loads.
+            # The reduced load of a combination is the combination of reduced loads.
             (f, inner), (f_end, inner_end) = self._reduced
             at = f + fraction * (f_end - f), inner + fraction * (inner_end - inner)
             condense(self._problem).remember_load(load, *at)

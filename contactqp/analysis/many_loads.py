@@ -48,11 +48,11 @@ from contactqp.solving.methods import DEFAULT_METHOD, registered_name
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
 
-# # The number of influence functions worth computing per case, and the part of free memory for them.
+# The number of influence functions worth computing per case, and the part of free memory for them.
 PER_CASE, PART_OF_MEMORY = 8, 0.125
-# # With fewer unknowns a solution takes a millisecond, so that functions are used only from this number of cases.
+# With fewer unknowns a solution takes a millisecond, so that functions are used only from this number of cases.
 FEWEST_UNKNOWNS, MANY_CASES = 500, 200
-# # Errors of single cases, after which others continue; missing or unsupported methods concern all of them.
+# Errors of single cases, after which others continue; missing or unsupported methods concern all of them.
 OF_ALL = (BackendMissing, Unsupported)
 NUMBER = {word: number for number, word in enumerate(STATUS)}
 
@@ -191,9 +191,7 @@ def _is_only(cases: LoadCases, condensation: Condensation) -> bool:
 
 
 def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: Any, warm: bool) -> None:
-    """Solve the cases in blocks, each from the states of the previous one if `warm`, else from its contacts closed
-    without friction.
-    """
+    """Solve cases in blocks, from the states of the previous one if `warm`, else from those without friction."""
     problem, m, closed = cases.problem, cases.problem.contacts, STICK if influence.rough else SLIP_ON
     solved, friction = SolvedCases(), np.zeros(m)
     origin = problem.slip_origin.ravel() if influence.rough and problem.slip_origin is not None else np.zeros(0)
@@ -324,7 +322,7 @@ class _Rows:
 
 FRAMEWORKS = ("jax", "torch")
 VARIED = (*VECTORS, "stiffness")
-# # The arguments of `solve_many` by parameter, and the quantities that it has for all cases.
+# The arguments of `solve_many` by parameter, and the quantities that it has for all cases.
 OF_MANY = dict(load="loads", gap="gaps", friction="friction")
 ARRAYS_OF_MANY = ("normal_force", "friction_force", "tie_force", "gap")
 

@@ -26,18 +26,18 @@ from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.model.summary import wrapped
 from contactqp.solving.solve import solve
 
-# # Steps whose energies are computed at once.
+# Steps whose energies are computed at once.
 BLOCK = 256
-# # The relative rounding of slips, and of penetrations.
+# The relative rounding of slips, and of penetrations.
 SLIPS = PENETRATES = 1e-9
-# # The relative difference of a state from its scheme's result, in addition to the rounding of displacements.
+# The relative difference of a state from its scheme's result, in addition to the rounding of displacements.
 SAME, ROUNDED = 1e-9, 64 * EPS
-# # An energy gain above this part of the initial and supplied energy is noted; central differences, which preserve
-# energy # on average, fluctuate by a few thousandths.
+# An energy gain above this part of the initial and supplied energy is noted; central differences, which preserve
+# energy on average, fluctuate by a few thousandths.
 GROWS = 0.05
-# # Schemes without energy gain at impacts, as alternatives.
+# Schemes without energy gain at impacts, as alternatives.
 KEEP_ENERGY = ("modified-mass", "moreau-jean")
-# # Schemes without mass at contacts, so that there are no impulses.
+# Schemes without mass at contacts, so that there are no impulses.
 WITHOUT_MASS = ("modified-mass", "modified-mass-central")
 
 

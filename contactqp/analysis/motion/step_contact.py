@@ -1,22 +1,23 @@
-"""Contact within one time step: one factorisation for all steps, one back-substitution and a small problem in each.
+"""Solve the contact problem of a time step: one factorisation for all steps, and one back-substitution and a small
+problem in each.
 
 A scheme states every step as a `ContactProblem` with the same stiffness and rows,
 
     K x + E_N'l_N + E_T'l_T + A'nu = f,    E_N x <= g,  l_N >= 0,  l_N (g - E_N x) = 0,    A x = b
 
-with Coulomb's law for l_T. x is a displacement or a velocity, l a force or an impulse, whichever the scheme takes.
-Without friction the forces follow from the Delassus operator W of the step,
+with Coulomb's law for l_T. x is a displacement or a velocity, l a force or an impulse, depending on the scheme. Without
+friction the forces follow from the Delassus operator W of the step,
 
     gap = c + W l >= 0,  l >= 0,  l gap = 0:        min 1/2 l'Wl + c'l over l >= 0
 
-with c (m,) the gap without contact forces. The search starts at the active set of the step before; any other method is
-given the same minimum as a problem of its own, whose multipliers are the gaps. With friction the forces r (m, d) on the
-body, contact by contact in the order (N, T), and gaps and slips u satisfy
+with c (m,) the gap without contact forces. The search starts from the active set of the previous step; other methods
+solve the same minimisation as a separate problem, whose multipliers are the gaps. With friction the forces r (m, d) on
+the body, contact by contact in the order (N, T), and gaps and slips u satisfy
 
     u = W r + c,    r_N >= 0,  u_N >= 0,  r_N u_N = 0,    |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T is not 0
 
-In the plane the search starts at the states of the step before; what these do not settle, and what turns in space, is a
-`LocalProblem` for the algorithms of friction.
+In the plane the search starts from the states of the previous step; if this fails, and in space, a `LocalProblem` is
+solved by the friction algorithms.
 """
 
 from __future__ import annotations
@@ -36,35 +37,35 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.solve import solve
 
-# Ties whose compliance on each other, scaled to a diagonal of one, has a pivot below this are dependent.
+# Ties are dependent if their scaled compliance (diagonal one) has a pivot below this.
 DEPENDENT_TIES = 1e-10
-# An unknown whose own force S_jj x_j is this part of those that meet there is at rest: forces with friction are known
-# to some thousand roundings, and what is tolerated of residuals is a thousand times as much.
+# An unknown is at rest if its force S_jj x_j is below this part of the forces there: forces with friction have errors
+# of some thousand roundings, and the tolerance of residuals is a thousand times larger.
 AT_REST = 1e-12
-# A force whose own effect on its contact is this part of all that moves it there is rounding.
+# A force is rounding if its effect on its contact is below this part of all effects there.
 DUST = 16 * EPS
-# A contact with friction that is less than its bound by this part sticks.
+# A contact sticks if its friction is below its bound by this part.
 STICKS = 1e-12
-# A slip that should be none is sharpened beyond this part of the lengths that meet there.
+# Nonzero slips of sticking contacts above this part of the lengths are corrected.
 SHARP = 1e-11
-# Up to so many contact unknowns have their inverse formed; a correction makes its answers as good as those of factors.
+# The most contact unknowns for which the inverse is formed; a correction makes it as accurate as factors.
 MOST_INVERTED = 60
-# Changes of the active set, and of the states of contacts with friction: two or three suffice, or others take over.
+# The most changes of the active set, and of frictional states; usually two or three suffice, else fallbacks are used.
 MAX_CHANGES, MAX_STATE_CHANGES = 30, 10
-# Gaps, slips and forces of this part of their own terms are rounding.
+# Gaps, slips and forces below this part of their terms are rounding.
 ROUNDING_OF_STEPS = 1e-13
-# A friction force that is this near to the cone slips; forces on their states are refined so many times.
+# The relative distance from the cone within which friction slips, and the number of refinements of forces.
 ON_CONE, REFINEMENTS = 1e-9, 2
-# Compliance, as part of its own, that is given to contacts whose forces nothing else bounds.
+# The relative compliance added to contacts whose forces are otherwise unbounded.
 SQUEEZED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """The data of one step of a scheme; with a base the load is f - K base, which cancels less than f does."""
+    """The data of one step of a scheme; with a base the load is f - K base, which reduces cancellation."""
 
     load: Vector  # (n,) on x, or on x - base
-    gap: Vector  # (m,); has no meaning where a contact is not closable
+    gap: Vector  # (m,); unused for contacts that are not closable
     closable: Mask | None = None  # (m,) contacts that the step may close; None: all
     slip_origin: Vector | None = None  # ((d-1) m,)
     tie_value: Vector | None = None  # (k,); None: zero
@@ -83,7 +84,7 @@ class StepResult:
 
 
 class StepContact:
-    """The solver of all steps of one template, whose stiffness, rows and friction every step shares."""
+    """The solver of all steps of one template, with common stiffness, rows and friction."""
 
     def __init__(self, template: ContactProblem, method: str, options: dict[str, Any]) -> None:
         self.template, self._method, self._options = template, method, options
@@ -126,7 +127,7 @@ class StepContact:
         return rows.reshape(-1, self._E.shape[1])
 
     def _refuse_options(self) -> None:
-        """Raise for options that the method refuses, before the motion begins."""
+        """Raise InvalidProblem for options that the method refuses, before the motion begins."""
         if self._frictional:
             width = 1 + len(self._T) // self.template.contacts
             still, pressed = np.array([OPEN], dtype=np.int8), -np.eye(width)[0]
@@ -145,7 +146,7 @@ class StepContact:
 
     @cached_property
     def _inverse(self) -> Array:
-        """Return S^-1 of a small number of unknowns: a product costs less than a call of LAPACK."""
+        """Return S^-1 for few unknowns, as a product costs less than a call of LAPACK."""
         return self._solved(np.eye(len(self._condensation.schur)))
 
     def _solved(self, right: Array) -> Array:
@@ -160,7 +161,7 @@ class StepContact:
         return np.asarray(x + self._inverse @ (right - self._condensation.schur @ x))
 
     def _compliance(self, right: Array) -> Array:
-        """Return the response of the contact unknowns to loads on them, with ties kept."""
+        """Return the response of the contact unknowns to loads on them, with ties satisfied."""
         if not right.size:
             return right.copy()
         x = self._respond(right)
@@ -174,7 +175,7 @@ class StepContact:
         Raises
         ------
         NotConverged, NotCertified, BackendFailed
-            As `solve`, of the small problem.
+            As `solve`, for the small problem.
         """
         condensation, template = self._condensation, self.template
         reduced, inner = condensation.reduce_passing_load(posed.load)
@@ -198,13 +199,13 @@ class StepContact:
             if self._frictional:
                 size = size + abs(self._T).T @ abs(friction)
             tie, free = tie - change, free - response
-            # What comes to rest does so exactly, and not up to the rounding of the forces that stop it.
+            # Unknowns that come to rest are set to zero exactly, without the rounding of forces.
             free[condensation.schur.diagonal() * abs(free) <= AT_REST * (abs(reduced) + size)] = 0.0
         x = condensation.expand(free, inner)
         return StepResult(x if posed.base is None else posed.base + x, normal, friction, tie, x)
 
     def _response(self, normal: Vector, friction: Vector) -> tuple[Vector, Vector]:
-        """Return what contact forces move, and the tie forces (k,) that they cause."""
+        """Return the displacement and the tie forces (k,) due to contact forces."""
         pull = self._E.T @ normal
         if self._frictional:
             pull = pull + self._T.T @ friction
@@ -215,9 +216,9 @@ class StepContact:
         return response - self._of_ties @ change, change
 
     def _without_dust(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
-        """Return the forces without those that move their own contact by less than the rounding of all that moves it.
+        """Return the forces without those whose effect on their contact is below the rounding of all effects there.
 
-        All rows of a contact are in one unit of length, and so are the effects of its forces.
+        All rows of a contact, and the effects of its forces, have the same unit.
         """
         m = len(normal)
         width = 1 + len(friction) // m
@@ -234,10 +235,10 @@ class StepContact:
     def _sharpened(
         self, normal: Vector, friction: Vector, x: Vector, gap: Vector, origin: Any
     ) -> tuple[Vector, Vector] | None:
-        """Return forces corrected by the residuals of contacts that push and do not slip; None where nothing is gained.
+        """Return forces corrected by the residuals of closed contacts without slip, None without improvement.
 
-        Forces are known to some roundings of the largest, such as a weight. Where others are all that acts on a body
-        that comes to rest, that moves it, by a rounding that is as large as anything that moves there.
+        Forces have an error of some roundings of the largest, such as a weight. On a body at rest with only small
+        forces this error would cause a motion.
         """
         m, width = len(normal), len(friction) // len(normal)
         size, bound = np.linalg.norm(friction.reshape(m, width), axis=1), self.template.friction * normal  # type: ignore[operator]
@@ -265,7 +266,7 @@ class StepContact:
         return gap - self._E @ base, origin, value - self._A @ base
 
     def alone(self, posed: StepProblem) -> StepResult:
-        """Return what `solve` does, of the whole problem of the step, whose answer is refined beyond doubles."""
+        """Return the result of `solve` for the whole problem of the step, refined beyond double precision."""
         gap, origin, value = self._limits(posed)
         gap = gap if posed.closable is None else np.where(posed.closable, gap, np.inf)
         step = self.template.replace(load=posed.load, gap=gap, tie_value=np.zeros(self.template.ties) + value)
@@ -321,7 +322,7 @@ class StepContact:
 
 
 def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[str, Any]) -> Vector:
-    """Return l (m,) [force] of frictionless contacts, searched from a guess of those that push.
+    """Return l (m,) [force] of frictionless contacts, starting from a guess of the active set.
 
     Parameters
     ----------
@@ -340,7 +341,7 @@ def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[s
     try:
         return np.maximum(solve(dual, method, **options).displacement, 0.0)
     except (NoEquilibrium, NotCertified, NotConverged) as error:
-        # Contacts that squeeze a body between them: a rounding of c decides whether the forces are bounded.
+        # For a body squeezed between contacts, rounding of c decides whether the forces are bounded.
         if (found := _by_active_set(W + np.diag(SQUEEZED * W.diagonal()), c, start)) is not None:
             return found
         if isinstance(error, NoEquilibrium):
@@ -349,7 +350,7 @@ def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[s
 
 
 def _by_active_set(W: Array, c: Vector, start: Mask) -> Vector | None:
-    """Run the primal-dual active set (Hintermueller, Ito and Kunisch 2003); None where it cycles or W is singular."""
+    """Run the primal-dual active set (Hintermueller, Ito and Kunisch 2003); None if it cycles or W is singular."""
     pushes = start | (c < 0)
     force = np.zeros(len(c))
     for _ in range(MAX_CHANGES):
@@ -378,7 +379,7 @@ def _by_active_set(W: Array, c: Vector, start: Mask) -> Vector | None:
 def frictional_forces(
     W: Array, c: Vector, friction: Vector, start: Status, method: str, options: dict[str, Any], like: Any = None
 ) -> tuple[Vector, Array]:
-    """Return l_N (m,) and l_T (m, d-1) [force], positive in compression and what the body does to the obstacle.
+    """Return l_N (m,) and l_T (m, d-1) [force], positive in compression, and as forces on the obstacle.
 
     Parameters
     ----------
@@ -407,9 +408,9 @@ def states_of(normal: Vector, friction: Array, coefficient: Vector) -> Status:
 
 
 def correction(W: Array, force: Array, sticks: Mask, residual: Array) -> Array:
-    """Return the change (m, d) of forces on the body that removes the residuals (m, d) of gaps and slips.
+    """Return the change (m, d) of forces on the body that eliminates the residuals (m, d) of gaps and slips.
 
-    Contacts that push stay closed, sticking ones stuck; forces of those that slip keep their directions.
+    States are unchanged, and forces of slipping contacts keep their directions.
 
     Parameters
     ----------
@@ -431,7 +432,7 @@ def correction(W: Array, force: Array, sticks: Mask, residual: Array) -> Array:
 
 
 def _by_states(W: Array, c: Vector, friction: Vector, start: Status) -> Array | None:
-    """Return forces (m, 2) on the body that agree with their states, or None where the states cycle."""
+    """Return forces (m, 2) on the body that agree with their states, None if the states cycle."""
     m = len(friction)
     state = start.copy()
     size_of_c, seen = abs(c), set()
@@ -462,7 +463,7 @@ def _by_states(W: Array, c: Vector, friction: Vector, start: Status) -> Array | 
 
 
 def _in_states(W: Array, c: Vector, friction: Vector, state: Status) -> Array | None:
-    """Return forces (m, 2) that close what is not open and stop what sticks, or None where they are not determined."""
+    """Return forces (m, 2) with zero gaps of closed contacts and zero slips of sticking ones, None if not unique."""
     m = len(friction)
     rows = np.column_stack([state != OPEN, state == STICK]).ravel()
     constrained = np.flatnonzero(rows)
@@ -476,16 +477,15 @@ def _in_states(W: Array, c: Vector, friction: Vector, state: Status) -> Array | 
         return None
     residual = (W @ force + c)[constrained]
     size = (abs(W) @ abs(force) + abs(c))[constrained]
-    if not np.all(abs(residual) <= ON_CONE * size):  # as good as singular
+    if not np.all(abs(residual) <= ON_CONE * size):  # numerically singular
         return None
     return np.asarray(force.reshape(m, 2))
 
 
 def _refined(W: Array, c: Vector, friction: Vector, force: Array) -> Array:
-    """Refine forces (m, d) on the body until closed gaps and sticking slips vanish to rounding of their own terms.
+    """Refine forces (m, d) on the body until closed gaps and sticking slips vanish up to rounding of their terms.
 
-    A step may hardly move what large forces hold: the answer to the contacts, right to a part of the largest force, is
-    then no better than the velocities that are left.
+    Otherwise errors relative to the largest force may be as large as the velocities of a step with little motion.
     """
     pushes = force[:, 0] > 0
     sticks = pushes & (np.linalg.norm(force[:, 1:], axis=1) < (1 - ON_CONE) * friction * force[:, 0])

@@ -1,9 +1,9 @@
-"""The steps of a motion: each stated by the scheme, solved, and certified together with its neighbours.
+"""Compute the steps of a motion: problems of the scheme, solved one by one and certified in blocks.
 
-A step must resolve how long a contact lasts: half a period of the slowest vibration that an impact excites. A rod of
-length L that hits a wall stays for 2 L / c, half the period of its slowest vibration with the touching end fixed. On
-matrices: omega is the lowest frequency with the closed contacts kept closed that is not zero and that the velocities at
-the impact excite, the time is pi / omega, by Lanczos' method on the operator of a time step, which is factorised.
+A step must resolve the duration of a contact, half a period of the slowest vibration excited by the impact. For
+example, a rod of length L stays at a wall for 2 L / c, half the period of its slowest vibration with the touching end
+fixed. In general the duration is pi / omega, with the lowest nonzero frequency omega with closed contacts that the
+impact velocities excite, by Lanczos' method on the factorised operator of a time step.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from contactqp.model.solution import Work
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
 
-Block = Array  # one row a step
+Block = Array  # one row per step
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,9 @@ class StepFigures:
     tie: Block
 
     def first_above(self, tolerance: float) -> tuple[int, str, float] | None:
-        """Return the first step with a figure above a tolerance, that figure and its size; NaN counts as infinite."""
+        """Return the first step with a figure above a tolerance, the figure's name and value; NaN counts as
+        infinite.
+        """
         values = np.array([getattr(self, name) for name in FIGURES])
         values = np.where(np.isnan(values), np.inf, values)
         beyond = np.flatnonzero(np.any(values > tolerance, axis=0))
@@ -76,7 +78,7 @@ class StepFigures:
 
 
 class StepJudge:
-    """The data of a template that the figures need."""
+    """The data of a template for computing figures."""
 
     def __init__(self, template: ContactProblem) -> None:
         self._problem = template
@@ -94,16 +96,16 @@ class StepJudge:
     def refused(
         self, posed: list[StepProblem], answered: list[StepResult], tolerance: float
     ) -> tuple[int, str, float] | None:
-        """Return the first step of a block that is refused, its worst figure and the size of that, or None."""
+        """Return the first refused step of a block with name and value of its worst figure, or None."""
         if self._plainly_right(posed, answered, tolerance):
             return None
         return self.figures(posed, answered).first_above(tolerance)
 
     def _plainly_right(self, posed: list[StepProblem], answered: list[StepResult], tolerance: float) -> bool:
-        """Say whether steps without friction or ties are right by less than all of what meets there.
+        """Return whether steps without friction or ties pass a simpler, stricter test.
 
-        Residuals within tolerance of K_jj |x_j| + |E_N|'l_N, gaps within that of |E_N||x| + |g|: the figures are then
-        no larger. Step by step, while a step's vectors are in the cache.
+        Residuals are within the tolerance times K_jj |x_j| + |E_N|'l_N, and gaps within that times |E_N||x| + |g|, so
+        that the figures are no larger. It proceeds step by step to use the cache.
         """
         if self._problem.ties or self._T is not None:
             return False
@@ -123,7 +125,7 @@ class StepJudge:
         return True
 
     def _contacts_hold(self, p: StepProblem, a: StepResult, size: Vector, tolerance: float) -> bool:
-        """Say whether no contact is in tension, and gaps are open, or closed where forces are, up to their lengths."""
+        """Return whether no contact is in tension, gaps are not negative, and those of contacts with force are zero."""
         room, pushes = p.gap - self._N @ a.unknown, a.normal > 0
         seen = np.ones(len(room), dtype=bool) if p.closable is None else p.closable
         if (a.normal < 0).any() or (pushes & ~seen).any():
@@ -160,7 +162,7 @@ class StepJudge:
             sizes = A @ size + abs(value)
             held = ratio(beyond(abs(self._A @ x - value), self._no_length("tie", sizes, whole)), sizes)
         cone, direction = self._coulomb(posed, x, normal, friction, F, whole)
-        stray = ~looked & (normal != 0)  # a force where the step had no contact
+        stray = ~looked & (normal != 0)  # a force at a contact that the step may not close
         return StepFigures(
             _worst(ratio(beyond(abs(residual), none), F)),
             _worst(np.where(looked & (room < 0), room_measure, 0.0)),
@@ -172,7 +174,7 @@ class StepJudge:
         )
 
     def _loads(self, posed: list[StepProblem]) -> tuple[Block, Block]:
-        """Return f and its size, (n, steps) each; with a base the load is K base and what acts on x - base."""
+        """Return f and its size, (n, steps) each; with a base the load is K base plus that on x - base."""
         load = np.column_stack([p.load for p in posed])
         bases = [p.base for p in posed if p.base is not None]
         if not bases:
@@ -181,20 +183,20 @@ class StepJudge:
         return load + self._K @ base, abs(load) + self._sizes[0] @ abs(base)
 
     def _intrinsic_size(self, load: Block, x: Block) -> Vector:
-        """Return the size of each step, (steps,), as `contactqp.linalg.measures.intrinsic_size` does.
+        """Return the size of each step, (steps,), as `contactqp.linalg.measures.intrinsic_size`.
 
-        It is that of the loads and of |x|_K, inertia included.
+        It is that of the loads and of |x|_K, including inertia.
         """
         D = reciprocal(self._unit)
         strain = np.sqrt(np.maximum(np.sum(x * (self._K @ x), axis=0), 0.0))
         return np.asarray(np.maximum(strain, np.max(D[:, None] * abs(load), axis=0, initial=0.0)))
 
     def _no_length(self, name: str, length: Block, whole: Vector) -> Block:
-        """Return the lengths of rows below which they count as none, beside those that meet there."""
+        """Return the lengths of rows below which lengths count as zero."""
         return np.maximum(NOTHING_BY_DEFAULT * whole * self._compliance[name][:, None], HELD_BY_DOUBLES * length)
 
     def _forces(self, force: Block, F: Block, none: Block) -> Block:
-        """Return max_j |E_ij l_i| / F_j, (m, steps), where negligible forces count as none."""
+        """Return max_j |E_ij l_i| / F_j, (m, steps), with negligible forces as zero."""
         measure = np.zeros_like(force)
         acting = np.any(force != 0, axis=1)[self._entries.row]
         row, column, size = self._entries.row[acting], self._entries.col[acting], self._entries.data[acting]
@@ -241,25 +243,25 @@ class StepJudge:
 
 
 def _worst(values: Block) -> Block:
-    """Return the worst figure of each step, NaN included."""
+    """Return the worst figure of each step, including NaN."""
     return np.asarray(np.max(values, axis=0, initial=0.0))
 
 
 # Steps certified at once.
 BLOCK = 64
 TOLERANCE = 1e-9
-# A duration that is this near to a whole number of steps is one.
+# The tolerance within which a duration is a whole number of steps.
 WHOLE = 1e-6
-# Times of more steps than this are no longer apart in double precision.
+# The most steps whose times are distinct in double precision.
 MOST_STEPS = 2.0**53
-# A contact that lasts less than so many steps is not resolved.
+# The least number of steps that resolve the duration of a contact.
 RESOLVED = 10
-# Central differences may step at their critical step, known to this part.
+# The relative accuracy of the critical step, which central differences may use.
 CRITICAL = 1e-6
 
 
 class MotionRun:
-    """One motion while its steps are taken.
+    """A motion in progress.
 
     Parameters
     ----------
@@ -280,14 +282,14 @@ class MotionRun:
         self._certified, self._alone = 0, False  # steps; whether each is solved as a problem of its own, which raw
         self._raw = options.get("polish") is False  # answers are not
         self._impacts = FirstImpacts(scheme.body.problem)
-        self._vibrates: tuple[Mask, Vector] | None = None  # the bodies of the last impact, and a vibration it started
+        self._vibrates: tuple[Mask, Vector] | None = None  # bodies and vibration of the last impact
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
     def start(self, u: Vector, v: Vector) -> None:
         self._motion.states.append(self._scheme.first(u, v, self._load(self._motion.start)))
 
     def lasting(self, duration: float) -> MotionHistory:
-        """Take the steps of a duration and return the history from the start."""
+        """Compute the steps of a duration and return the history from the start."""
         refuse_not_positive("duration", duration)
         h = self._scheme.body.step
         ratio = float(np.float64(duration) / h) if duration < MOST_STEPS * h else np.inf
@@ -299,7 +301,7 @@ class MotionRun:
         return self._steps(round(ratio) if whole else int(np.ceil(ratio)))
 
     def _resumed(self, states: list[State], duration: float) -> MotionHistory:
-        """Continue from these states for `MotionHistory.resume`, and leave the first history untouched."""
+        """Continue from these states for `MotionHistory.resume`, without changing the first history."""
         twin = copy.copy(self)
         twin._motion = replace(self._motion, states=list(states), seconds=list(self._motion.seconds), work=twin._work)
         twin._impacts = self._impacts.copy()
@@ -308,7 +310,7 @@ class MotionRun:
         return twin.lasting(duration)
 
     def _steps(self, count: int) -> MotionHistory:
-        """Take a number of steps and certify them."""
+        """Compute a number of steps and certify them."""
         began, motion = time.perf_counter() - self._motion.seconds[0], self._motion
         first, state, load = len(motion.states), motion.states[-1], self._load(motion.time(len(motion.states) - 1))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -327,7 +329,7 @@ class MotionRun:
 
     @property
     def history(self) -> MotionHistory:
-        notes = tuple(self._notes)  # of the steps until now
+        notes = tuple(self._notes)  # of the steps so far
         return MotionHistory(self._motion, lambda: (*notes, *notes_on_motion(self._motion)), self._resumed)
 
     def _step(self, state: State, load: Vector, next_load: Vector) -> State:
@@ -341,7 +343,7 @@ class MotionRun:
             except (NotConverged, NotCertified, BackendFailed, NoEquilibrium, SeveralEquilibria) as error:
                 done = len(self._motion.states) - 1
                 for pairs in self._pending:
-                    del pairs[self._steps_since(done) :]  # a step of two problems may have answered one
+                    del pairs[self._steps_since(done) :]  # of a step with two problems one may be solved
                 self._judge(done, final=True)
                 raise NotConverged(f"{self._scheme.name}: step {done + 1}: {error}", self.history) from error
             pending.append((posed, found))
@@ -349,14 +351,15 @@ class MotionRun:
         return self._scheme.accept(state, answers)
 
     def _steps_since(self, done: int) -> int:
-        """Count the steps so far that no block has certified."""
+        """Return the number of steps not yet certified."""
         return done - self._certified
 
     def _judge(self, last: int, final: bool = False) -> None:
-        """Certify the steps since the last block; from one that is refused on, they are to be taken again, alone.
+        """Certify the steps since the last block; from a refused one on, they will be computed again as separate
+        problems.
 
-        Factors in doubles leave too few digits of steps that are long beside the vibrations of a body that is free.
-        Raises NotConverged where a refused step was taken alone or its answer is raw, or where this is `final`.
+        Factors in doubles are not accurate enough for steps that are long compared to vibrations of a free body. Raises
+        NotConverged if a refused step was computed separately or its answer is raw, or if this is `final`.
         """
         refusals = []
         for judge, pending, template in zip(self._judges, self._pending, self._scheme.templates, strict=True):
@@ -391,7 +394,7 @@ class MotionRun:
         )
 
     def _check_contact_time(self, closing: Indices, before: State, state: State, k: int) -> None:
-        """Warn, once, where a step is too long for contacts that close."""
+        """Warn once if the step is too long for closing contacts."""
         scheme, h = self._scheme, self._scheme.body.step
         if scheme.inertia is None or not len(closing):
             return
@@ -421,7 +424,9 @@ class MotionRun:
         )
 
     def check_critical_step(self, penalty: float | None) -> None:
-        """Refuse an unstable step; warn of one that penalty springs make unstable, as they act in contact only."""
+        """Raise InvalidProblem for an unstable step; warn if only penalty springs, which act during contact, make it
+        unstable.
+        """
         body = self._scheme.body
         limit = critical_step(body.mass, body.stiffness)
         if body.step > limit * (1 + CRITICAL):
@@ -445,22 +450,22 @@ class MotionRun:
 
 
 class FirstImpacts:
-    """The contacts that have closed by an impact so far; each is reported at its first impact."""
+    """The contacts that closed by an impact so far, each reported at its first impact."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._normal, self._tie, self._stiffness = problem.normal, problem.tie, problem.stiffness_rows
         self._met = np.zeros(problem.contacts, dtype=bool)
-        self._body: Indices | None = None  # of each unknown, found at the first impact
+        self._body: Indices | None = None  # the body of each unknown, computed at the first impact
         self.awaited = problem.contacts > 0
 
     def copy(self) -> FirstImpacts:
-        """Return the same contacts, to which others are added apart."""
+        """Return an independent copy."""
         twin = copy.copy(self)
         twin._met = self._met.copy()
         return twin
 
     def new(self, before: State, now: State) -> Indices:
-        """Return the contacts that begin to push in a step, approaching, for the first time."""
+        """Return the contacts that close with approaching velocity for the first time."""
         closing = np.flatnonzero((now.normal_force > 0) & (before.normal_force <= 0) & ~self._met)
         if len(closing):
             closing = closing[self._normal[closing] @ before.velocity > 0]
@@ -469,7 +474,7 @@ class FirstImpacts:
         return closing
 
     def bodies(self, mass: Any, contacts: Indices) -> Mask:
-        """Return which unknowns belong to the bodies that contacts act on, (n,); ties make one body of two."""
+        """Return the unknowns (n,) of the bodies of these contacts; ties join bodies."""
         if self._body is None:
             from scipy.sparse.csgraph import connected_components
 

@@ -1,6 +1,6 @@
-"""The registry of time-stepping schemes for impact: a file for each idea, and one table that lists the files.
+"""Register the time-stepping schemes for impact: one file for each idea, and a table of the files.
 
-A file exports `SCHEMES`, the entries of the schemes that it holds; what a scheme must provide stands in `Scheme`.
+A file exports `SCHEMES`, the entries of its schemes; `Scheme` defines their interface.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SCHEMES: dict[str, SchemeEntry] = {entry.name: entry for module in _MODULES for 
 
 
 def register(entry: SchemeEntry) -> None:
-    """Add a scheme of one's own, which `impact` and the motions of case files find by its name from then on.
+    """Add a scheme, which `impact` and case files then find by its name.
 
     Raises
     ------
@@ -28,9 +28,9 @@ def register(entry: SchemeEntry) -> None:
 
 
 def find(name: str) -> SchemeEntry:
-    """Return the scheme of that name.
+    """Return the scheme of this name.
 
-    Raises InvalidProblem: there is no such scheme; the message lists all names.
+    Raises InvalidProblem: the scheme does not exist; the message lists all names.
     """
     if not isinstance(name, str) or name not in SCHEMES:
         raise InvalidProblem(f"scheme: expected one of {', '.join(SCHEMES)}, got {shown(name)}")

@@ -1,4 +1,4 @@
-"""Schemes with a law of impact, in velocities and in displacements, and the explicit one with penalty springs.
+"""Schemes with an impact law in velocities or displacements, and the explicit scheme with penalty springs.
 
 Moreau's and Jean's scheme: impulses and velocities, with Newton's impact law.
 
@@ -10,15 +10,15 @@ with, at contacts that the step would close (g - E_N (u + h/2 v) <= 0), Newton's
 
 and Coulomb's law of P_T and E_T v+ (Moreau 1988; Jean 1999; Acary and Brogliato 2008, section 10.1). With theta = 1/2
 energy changes by -P'E (v+ + v) / 2 alone, a loss of (1 - e^2) / (1 + e)^2 P^2 W / 2 at one contact that closes.
-Newton's law may gain where several contacts close at once with e > 0, or where a step stops one that was leaving. A
-contact closes in its velocity: an overlap of the order of h |E_N v| is left.
+Newton's law may create energy if several contacts close at once with e > 0, or if a step stops a separating one.
+Contacts close in velocity, with an overlap of the order of h |E_N v|.
 
 Central differences with contact in the displacement (Paoli and Schatzman 2002), and with penalty springs.
 
     M (u+ - 2u + u-) / h^2 + K u + E'l + A'nu = f,    E_N (u+ + e u-) / (1 + e) <= g,  l_N >= 0,  complementary
 
-The penalty scheme has l_N = beta (E_N u - g)+ instead, of the displacement at the start of the step. Both are stable up
-to h = 2 / omega, omega the highest frequency (with all contact springs, for the penalty).
+The penalty scheme has l_N = beta (E_N u - g)+ instead, with the displacement at the start of the step. Both are stable
+up to h = 2 / omega, omega the highest frequency (with all contact springs, for the penalty).
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import EPS, Array, Vector
 
-# A rebound of this part of what the forces of a step change is lost in their rounding.
+# A rebound below this part of the velocity change by a step's forces is lost in rounding.
 NO_REBOUND = 1e-6
-# Up to so many unknowns that contacts touch their rows are kept dense.
+# The most touched unknowns for which contact rows are stored dense.
 MOST_DENSE = 60
-# A predicted gap that is this part of its own lengths is none.
+# A predicted gap below this part of its lengths is zero.
 TOUCHING = 64 * EPS
 
 
 class MoreauJean(Scheme):
-    """The scheme with x = v+, whose forces are impulses."""
+    """The scheme of Moreau and Jean with x = v+, whose forces are impulses."""
 
     name = "moreau-jean"
 
@@ -57,7 +57,7 @@ class MoreauJean(Scheme):
         self._touched = np.unique(body.problem.normal.indices)
         self._normal: Any = body.problem.normal[:, self._touched]
         if len(self._touched) <= MOST_DENSE:
-            self._normal = self._normal.toarray()  # a sparse product costs ten times a small dense one
+            self._normal = self._normal.toarray()  # a sparse product is ten times slower than a small dense one
         self._normal_size = abs(self._normal)
         self._touching_gap = TOUCHING * abs(body.problem.gap)
         self._no_rebound = np.zeros(body.problem.contacts)
@@ -75,7 +75,7 @@ class MoreauJean(Scheme):
         return StepProblem(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
-        """Return -e E_N v, and 0 where that is a negligible part of what the forces of a step would change."""
+        """Return -e E_N v, 0 where it is negligible relative to the change by a step's forces."""
         rebound = -self._restitution * (self._normal @ velocity[self._touched])
         change = self._normal_size @ (abs(force[self._touched]) / self._inertia_of_touched)
         return np.where(abs(rebound) <= NO_REBOUND * change, 0.0, rebound)
@@ -95,7 +95,7 @@ class MoreauJean(Scheme):
         return (StepResult(v, h * after.normal_force, h * after.friction_force, h * after.tie_force, v),)
 
     def contact_motion(self, displacements: Block, velocities: Block) -> Block:
-        """Return h (v_(k+1) + v_k) / 2: an impulse does the work P'E (v+ + v) / 2."""
+        """Return h (v_(k+1) + v_k) / 2, as an impulse has the work P'E (v+ + v) / 2."""
         del displacements
         return self.body.step * (velocities[1:] + velocities[:-1]) / 2
 
@@ -154,15 +154,13 @@ class ExplicitPenalty(_Central):
         return (replace(super().answered(before, after)[0], normal=np.zeros(0)),)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """Return the acceleration at the start of bodies on contact springs, which carry nothing before they are
-        pressed.
-        """
+        """Return the acceleration at the start of bodies on contact springs, which have no force until compressed."""
         free = replace(self.body, problem=self.body.problem.with_contacts(np.zeros(0, dtype=np.intp)))
         pushed = load - self.body.problem.normal.T @ self._springs(displacement)
         return free.starting(displacement, velocity, pushed)[0]
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
-        """Return 1/2 v'Mv+ of every state, with the forces of the springs in v+ too."""
+        """Return 1/2 v'Mv+ of every state, including the forces of the springs in v+."""
         return super().kinetic(
             displacements, velocities, loads - self._springs(displacements.T).T @ self.body.problem.normal
         )

@@ -1,14 +1,14 @@
-"""Schemes of Newmark's family: the trapezoidal rule, backward Euler, and what cures the rule's chatter at contacts.
+"""Schemes of Newmark's family: the trapezoidal rule, backward Euler, and variants without oscillating contact forces.
 
 The trapezoidal rule (Newmark 1959, gamma = 1/2, beta = 1/4) takes contact at the end of the step:
 
     M (v+ - v) / h + K (u + u+) / 2 + E'(l + l+) / 2 + A'nu = (f + f+) / 2,    u+ = u + h (v + v+) / 2,
     E_N u+ <= g,  l_N+ >= 0,  complementary
 
-With mass at the contacts it creates energy at impacts and its contact forces chatter: it is kept because people use it.
-Without (modified mass: Khenous, Laborde and Renard 2008) contact nodes are in static equilibrium, K u+ + E'l+ + A'nu =
-f+ there, and both are cured. A tie between unknowns with mass and without would have the mean of a step on one side and
-its end on the other: it is refused, as is such a contact.
+With mass at the contacts it creates energy at impacts and its contact forces oscillate; it is included because it is in
+use. Without mass there (modified mass: Khenous, Laborde and Renard 2008) contact nodes are in static equilibrium, K u+
++ E'l+ + A'nu = f+, which avoids both. Ties and contacts between unknowns with and without mass are refused, as forces
+would be the mean of a step on one side and those of its end on the other.
 
 Central differences with modified mass (Doyen, Ern and Piperno 2011) are explicit in the unknowns I with mass, and solve
 a small static contact problem in those C that contacts act on:
@@ -22,8 +22,8 @@ The contact-stabilised scheme (Deuflhard, Krause and Ertel 2008) projects the pr
     M (u+ - w) + h^2/2 (K (u + u+) / 2 + E'l + A'nu - (f + f+) / 2) = 0,    E_N u+ <= g,  l_N >= 0,  complementary
     v+ = v + 2 (u+ - w) / h
 
-The forces of the projection never enter the velocity: a contact node keeps its own until the body behind it has taken
-its momentum. Where the mass at the contact is all there is nothing does, and it stays at its obstacle for ever.
+The forces of the projection do not enter the velocity: a contact node keeps its velocity until the body behind it has
+taken its momentum. If the mass at the contact is the whole mass, it stays at its obstacle.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ from contactqp.linalg.dense import Factorization
 from contactqp.linalg.factorization import factorise
 from contactqp.model.arrays import Vector
 
-# Velocities of contacts that rest are worth a note where they have more than this part of the energy.
+# Velocities of resting contacts are noted if they have more than this part of the energy.
 LOST_IN_CONTACT = 0.05
-# A contact rests that moves by less than this part of what its velocity says.
+# A contact rests if it moves by less than this part of its velocity times the step.
 AT_REST = 1e-6
 
 
@@ -60,7 +60,7 @@ class Trapezoidal(Scheme):
         self.templates = (body.template(self._inertia + body.stiffness),)
         self._massless = massless(body.mass)
         self._any_massless = bool(np.any(self._massless))
-        # Of 2 K u and f + f+ where there is mass; K u and f+ where there is none.
+        # Factors of K u and f for unknowns with mass (2 K u, f + f+) and without (K u, f+).
         self._load_share = np.where(self._massless, 0.0, 1.0)
         internal = sp.diags(-1.0 - self._load_share) @ body.stiffness
         self._from_state = sp.csr_matrix(sp.hstack([internal, body.step * self._inertia]))
@@ -68,7 +68,7 @@ class Trapezoidal(Scheme):
         self._tie_share = np.where(body.on_massless("tie", name), 1.0, 0.5)
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
-        """Return the start with the contact forces of bodies that rest on each other; they count half in the first
+        """Return the start with the contact forces of bodies at rest on each other, half of which act in the first
         step.
         """
         state = super().first(displacement, velocity, load)
@@ -82,7 +82,7 @@ class Trapezoidal(Scheme):
         force += self._load_share * load + next_load
         if state.normal_force.any():
             pull = body.pull(state)
-            pull[self._massless] = 0.0  # there the force of the end balances alone
+            pull[self._massless] = 0.0  # at unknowns without mass only the force at the end acts
             force -= pull
         return StepProblem(force, body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u)
 
@@ -97,7 +97,7 @@ class Trapezoidal(Scheme):
         return (replace(super().answered(before, after)[0], tie=after.tie_force / self._tie_share),)
 
     def contact_weight(self) -> Vector:
-        """Return 1/2, as half of a force works before its instant and half after, and 1 where there is no mass."""
+        """Return 1/2, as half of a force acts before its instant and half after, and 1 for unknowns without mass."""
         return np.where(self._bare_contacts, 1.0, 0.5)
 
 
@@ -150,17 +150,17 @@ class ContactStabilised(Scheme):
         return State(found.unknown, found.normal, found.friction, found.tie, v, state.displacement)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
-        """Return the results of both problems; the forces of the projection are not kept."""
+        """Return the results of both problems, without the forces of the projection."""
         (found,) = super().answered(before, after)
         motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
         return StepResult(before.displacement + motion, normal, friction, tie, motion), found
 
     def notes(self, states: Sequence[State]) -> Iterator[str]:
-        """Yield how much of the energy is in velocities towards obstacles at which contacts rest, where it is much.
+        """Yield a note on the energy in velocities of resting contacts towards their obstacles, if it is large.
 
-        Contact i rests if two steps change its gap by nothing beside h E_i v > 0. Its kinetic energy, what else moves
-        with it left aside, is (E_i v)^2 / (2 E_i M^-1 E_i'), with M taken as its diagonal.
+        Contact i rests if two steps change its gap by much less than h E_i v > 0. Its kinetic energy, without coupled
+        motion, is (E_i v)^2 / (2 E_i M^-1 E_i'), with the diagonal of M.
         """
         problem, mass = self.body.problem, self.body.mass.diagonal()
         moved_by = problem.normal.power(2) @ np.divide(1.0, mass, out=np.zeros_like(mass), where=mass > 0)
@@ -187,7 +187,7 @@ class ContactStabilised(Scheme):
 
 
 class ModifiedMassCentral(TwoStep):
-    """The scheme with x = u+: its part with mass is explicit, a small static contact problem gives the rest."""
+    """The scheme with x = u+: explicit for unknowns with mass, with a small static contact problem for the others."""
 
     name = "modified-mass-central"
 
@@ -207,11 +207,11 @@ class ModifiedMassCentral(TwoStep):
         return factorise(self.body.mass[self._moving][:, self._moving])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state without factors, which are not pickled; they are made again where they are needed."""
+        """Return the pickled state without factors, which are computed again if needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_mass"}
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> Vector:
-        """Return the acceleration at the start where there is mass, 0 elsewhere."""
+        """Return the acceleration at the start, 0 for unknowns without mass."""
         del velocity
         acceleration = np.zeros(len(load))
         force = load - self.body.stiffness @ displacement

@@ -1,4 +1,4 @@
-"""The interface of a time-stepping scheme: how it states a step as a contact problem, and what it makes of the result.
+"""Define the interface of a time-stepping scheme: the contact problem of a step, and the state from its result.
 
 Writing h for the time step, a motion satisfies
 
@@ -28,19 +28,19 @@ from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import AnswerOf
 from contactqp.solving.solve import solve
 
-Block = Array  # one row a step
+Block = Array  # one row per step
 
 NO_SLIP = np.zeros(0)
-# Gaps and velocities that are this part of their own lengths are none: bodies at rest are known to some roundings.
+# Gaps and velocities below this part of their lengths are zero, as bodies at rest have some rounding errors.
 RESTING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class State(AnswerOf[Vector, Vector], ReadOnly):
-    """A motion at the end of a step, as far as the next step depends on it.
+    """The data of a motion at the end of a step on which the next step depends.
 
-    Forces are those of the step that ended, impulses over h where the scheme has impulses; those of friction are flat,
-    ((d-1) m,), and none without friction.
+    Forces are those of the step that ended, or impulses over h; those of friction are flat, ((d-1) m,), and empty
+    without friction.
     """
 
     velocity: Vector  # v (n,); of two-step schemes (u - before) / h, half a step earlier
@@ -49,7 +49,7 @@ class State(AnswerOf[Vector, Vector], ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnly):
-    """What every scheme steps: the problem, its mass matrix, and the length of the step."""
+    """The data of every scheme: the problem, its mass matrix, and the time step."""
 
     problem: ContactProblem
     mass: Any  # M (n, n) CSR
@@ -60,7 +60,7 @@ class Body(ReadOnly):
         return self.problem.stiffness_rows
 
     def template(self, stiffness: Any) -> ContactProblem:
-        """Return the contact problem of a step: the rows, friction and names of the body with another stiffness."""
+        """Return the contact problem of a step, with the rows, friction and names of the body and another stiffness."""
         problem = self.problem
         return problem.replace(stiffness=stiffness, near_null_space=None)
 
@@ -72,7 +72,7 @@ class Body(ReadOnly):
         )
 
     def slip_from(self, displacement: Vector) -> Vector:
-        """Return E_T u, from which the slip of a step counts, ((d-1) m,) [length]."""
+        """Return E_T u, the slip origin of a step, ((d-1) m,) [length]."""
         if not self.tangent.shape[0]:
             return NO_SLIP
         return np.asarray(self.tangent @ displacement)
@@ -84,8 +84,7 @@ class Body(ReadOnly):
         return State(displacement, *forces, velocity, before)
 
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return the acceleration, normal forces (m,) and friction ((d-1) m,) of bodies that rest on each other at
-        the start.
+        """Return the acceleration, normal forces (m,) and friction ((d-1) m,) of bodies in contact at the start.
 
         M a + E_N'l_N + E_T'l_T + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move apart or
         together, where Coulomb's law has the slip E_T (v + h a), on the unknowns with mass.
@@ -126,7 +125,7 @@ class Body(ReadOnly):
         return acceleration, normal, friction
 
     def on_massless(self, what: str, scheme: str) -> Mask:
-        """Return which contacts (m,) or ties (k,) act on unknowns without mass.
+        """Return the contacts (m,) or ties (k,) that act on unknowns without mass.
 
         Raises
         ------
@@ -160,14 +159,14 @@ class Body(ReadOnly):
 
 
 class Scheme(ABC):
-    """A time-stepping scheme, linear but for contact, with one stiffness for each problem of its steps."""
+    """A time-stepping scheme, linear except for contact, with one stiffness for each problem of its steps."""
 
     name: str
     body: Body
     templates: tuple[ContactProblem, ...]  # one for each problem that a step solves, in their order
-    inertia: float | None = None  # s where the last template has a stiffness in proportion to s M + K; None: explicit
-    springs: float | None = None  # beta where contacts are springs, whose energy is elastic
-    keeps_energy: bool = True  # whether, without contact, `kinetic` + 1/2 u'Ku stays as it is under no load
+    inertia: float | None = None  # s if the stiffness of the last template is proportional to s M + K, None if explicit
+    springs: float | None = None  # beta if contacts are springs with elastic energy
+    keeps_energy: bool = True  # whether `kinetic` + 1/2 u'Ku is constant without contact and load
 
     def first(self, displacement: Vector, velocity: Vector, load: Vector) -> State:
         """Return the state from which the first step starts; the load is that of the start."""
@@ -194,24 +193,22 @@ class Scheme(ABC):
         return State(found.unknown, found.normal, found.friction, found.tie, found.increment / self.body.step, u)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
-        """Return the results that led from one state to the next: what `accept` was given, from what it made of it."""
+        """Return the results that led from one state to the next, the inverse of `accept`."""
         u, motion = after.displacement, after.displacement - before.displacement
         return (StepResult(u, after.normal_force, after.friction_force, after.tie_force, motion),)
 
     def notes(self, states: Sequence[State]) -> Iterator[str]:
-        """Yield what users of a motion should know of how this scheme made it; by default nothing."""
+        """Yield notes of this scheme on a motion, by default none."""
         del states
         yield from ()
 
     def contact_motion(self, displacements: Block, velocities: Block) -> Block:
-        """Return the motions (steps, n) along which contact forces work in each step, from all states (steps + 1,
-        n).
-        """
+        """Return the motions (steps, n) for the work of contact forces in each step, from all states (steps + 1, n)."""
         del velocities
         return np.diff(displacements, axis=0)
 
     def contact_weight(self) -> Vector:
-        """Return the part of a contact's force that works in its own step, (m,); the rest works in the step after."""
+        """Return the part of a contact's force that acts in its own step, (m,); the rest acts in the next step."""
         return np.ones(self.body.problem.contacts)
 
     def kinetic(self, displacements: Block, velocities: Block, loads: Block) -> Vector:
@@ -237,7 +234,7 @@ class TwoStep(Scheme):
         """Return 1/2 v'Mv+ with v and v+ = v + h a the velocities half a step before and after, a from K and f
         alone.
 
-        With the elastic energy 1/2 u'Ku this is what central differences keep exactly in free flight.
+        The sum with the elastic energy 1/2 u'Ku is constant for central differences in free flight.
         """
         body = self.body
         momentum = (body.mass @ velocities.T).T
@@ -248,7 +245,7 @@ class TwoStep(Scheme):
 
 @dataclass(frozen=True)
 class SchemeSettings:
-    """The numbers that a user may choose; `impact` checks them, and refuses those that a scheme does not take."""
+    """The parameters of schemes; `impact` checks them and refuses those that a scheme does not use."""
 
     theta: float  # from 1/2 to 1
     restitution: float  # from 0 to 1
@@ -257,11 +254,11 @@ class SchemeSettings:
 
 @dataclass(frozen=True)
 class SchemeEntry:
-    """A scheme that a user can ask for by its name, and what `impact` has to know of it."""
+    """A registered scheme, with its properties for `impact`."""
 
     name: str
     make: Callable[[Body, SchemeSettings], Scheme]
-    explicit: bool = False  # stable up to a critical step, and in need of mass at every unknown
-    massless_contacts: bool = False  # takes the mass from the unknowns that contacts act on
-    friction: bool = True  # whether it takes contacts with friction
-    knobs: tuple[str, ...] = ()  # the fields of SchemeSettings that it takes
+    explicit: bool = False  # stable up to a critical step, with mass required at every unknown
+    massless_contacts: bool = False  # removes the mass from the unknowns touched by contacts
+    friction: bool = True  # whether it supports friction
+    knobs: tuple[str, ...] = ()  # the fields of SchemeSettings that it uses
