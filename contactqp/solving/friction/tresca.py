@@ -216,7 +216,7 @@ class _Run:
         scale = np.ones(inner.dimension)
         condensation = Condensation.of_condensed(inner, rigid, scale)
         inner._computed.condensation, inner._computed.unknown_scale = condensation, scale
-        if condensation.rigid.count:
+        if self._rows.motions.shape[1]:  # else only slip sizes are free, and their loads press them onto their rows
             refuse_driven_motion(inner, condensation.rigid)
         answer = solve_convex(self._method, inner, self._limited()).answer
         return answer.displacement, answer.normal_force, answer.tie_force

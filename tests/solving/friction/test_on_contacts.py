@@ -11,7 +11,7 @@ import pytest
 import contactqp as cq
 from contactqp.linalg.condensation import condense
 from contactqp.solving import friction_runs
-from contactqp.solving.friction import algorithms, contact_form
+from contactqp.solving.friction import algorithms, contact_form, tresca
 from contactqp.solving.methods import Settings, find
 
 
@@ -62,6 +62,17 @@ def test_operations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeyp
 def test_a_limit_of_time_counts_instead_where_one_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_form, "NEARBY_OPERATIONS", 1.0)
     assert "all 9 combinations, refined from there, fail as well" in refusal(time_limit=600.0)
+
+
+def test_no_driven_motion_is_looked_for_where_no_body_floats(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Of ten contacts, of which nearly all slide, that took a tenth of the solution.
+    n = 20
+    K = 2.5 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    rows = dict(normal=-np.eye(n)[::2], gap=np.zeros(n // 2), tangent=np.eye(n)[1::2], friction=0.3)
+    problem = cq.ContactProblem(stiffness=K, load=np.tile([-1.0, 2.0], n // 2), **rows)
+    monkeypatch.setattr(tresca, "refuse_driven_motion", lambda *_: pytest.fail("a driven motion was looked for"))
+    solution = cq.solve(problem, algorithm="tresca")
+    assert "slip" in solution.contact_status
 
 
 def test_few_contacts_in_the_plane_take_few_tresca_problems_before_their_combinations_are_listed(
