@@ -354,3 +354,20 @@ def test_forces_alone_put_a_body_where_contacts_without_force_leave_one_place() 
     assert judged.passed
     assert judged.answer.displacement == pytest.approx([0.625, 1.625, -1.25, 2.0], abs=1e-12)
     assert not cq.certify(problem, None, [1.0 + 1e-6, 0.0, 0.0, 0.0], tie_force=[1.5]).passed
+
+
+def test_friction_that_takes_back_its_push_has_no_part_in_what_is_shared() -> None:
+    """Contact 1 pushes along its own tangent: with a coefficient of one an edge of its cone exerts nothing."""
+    problem = cq.ContactProblem(
+        np.zeros((2, 2)),
+        [-1.375, -0.125],
+        [[-3.0, 2.0], [0.0, -1.0]],
+        [-1.25, 1.75],
+        [[-1.0, 2.0], [0.0, -1.0]],
+        [0.25, 1.0],
+        slip_origin=[[-2.25], [1.75]],
+    )
+    judged = cq.certify(problem, [-0.75, -1.75])
+    assert judged.passed
+    assert np.all(np.isfinite(judged.answer.friction_force))
+    assert not cq.certify(problem, [-0.75, -1.75], [0.5, 0.5], [0.125, 0.375]).passed

@@ -80,6 +80,7 @@ def balancing_forces(
         return force, shared
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
     length = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1))).ravel()
+    length[length == 0] = 1.0  # a push and its friction may cancel, and such a row exerts nothing
     scaled = sp.csr_matrix(sp.diags(1 / length) @ scaled)
     target = residual * scale
     _, label = connected_components(abs(scaled) @ abs(scaled).T, directed=False)
