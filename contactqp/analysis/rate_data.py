@@ -1,4 +1,4 @@
-"""What rates are made of: directions, parts of data and of solutions, their scales, and what these hold."""
+"""Define the data of rates: directions, parts of data and solutions, scales, and checks of them."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
 
-# Parameters that are vectors, or one for each direction of slip.
+# Parameters that are vectors, or have one column per tangent.
 VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
-# What the sizes of rates are those of: gaps and reactions are sums whose terms may cancel.
+# The quantities whose rates determine sizes; gaps and reactions are sums whose terms may cancel.
 MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
-# Rates that differ by this part of the largest, in the square root of energy, are one.
+# Rates that differ by less than this part of the largest, in the square root of energy, are equal.
 SAME = 1e-9
-# What sums of products in twice double precision are off by, as parts of their terms.
+# The relative error of sums of products in twice double precision.
 ROUNDED = 2.0**-92
-# Contacts that are named in a reason.
+# The most contacts named in a reason.
 SHOWN = 5
-# Why there are no rates.
+# Reasons why there are no rates.
 FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch, or ties, are redundant, and share their forces in many ways"
 SINGULAR = "the linear system of the contacts' states has no inverse, and the answer is not unique nearby"
 
 
 class NoRates(Exception):
-    """There are no rates towards a side; the message says why."""
+    """Raised if there are no rates on a side, with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A part for each unknown (n,), contact (m,), its tangents (m, d-1) and tie (k,): data, or a solution of them."""
+    """Data or a solution with parts for unknowns (n,), contacts (m,), tangents (m, d-1) and ties (k,)."""
 
     displacement: Vector
     normal: Vector
@@ -63,13 +63,13 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A solution in doubles, and what it may be off by for each part; None where that is not known."""
+    """A solution in doubles with the errors of its parts, None if unknown."""
 
     found: Parts
     bound: Parts | None
-    settled: bool  # whether refinement led anywhere
+    settled: bool  # whether refinement converged
     extended: tuple[Extended, ...] = ()  # displacement, normal, flat tangents and ties in twice double precision
-    remainder: float = np.inf  # what further refinement may change of these, in the square root of energy
+    remainder: float = np.inf  # their largest change by further refinement, in the square root of energy
     transposed: bool = False  # whether it is of the transposed system
 
 
@@ -81,7 +81,7 @@ def shape_of_tangents(problem: ContactProblem) -> tuple[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction of what a problem is made of, and what it means at an answer."""
+    """A direction of the data of a problem, and its effect at an answer."""
 
     load: Vector  # (n,)
     gap: Vector  # (m,)
@@ -91,8 +91,8 @@ class Direction:
     strained: Vector  # (n,) -dK u
     turned: Vector  # (n,) -dE_N'l_N
     closing: Vector  # (m,) -dE_N u
-    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, by which the energy changes besides
-    driven: float = 0.0  # not zero where it drives motions that nothing resists, or resists them
+    work: float = 0.0  # u'dK u / 2 + l_N'dE_N u, the additional change of energy
+    driven: float = 0.0  # nonzero if it drives or resists otherwise unresisted motions
     rows: Any = None  # (m, n) dE_N, of a direction of the rows
     stiffness: Any = None  # (n, n) dK, of a direction of the stiffness
 
@@ -106,22 +106,22 @@ class Direction:
 
     @property
     def whole_load(self) -> Vector:
-        """Return the load (n,) that the rates see."""
+        """Return the whole rate of the load (n,)."""
         return self.load + self.strained + self.turned
 
     @property
     def whole_gap(self) -> Vector:
-        """Return the gaps (m,) that the rates see."""
+        """Return the whole rates of gaps (m,)."""
         return self.gap + self.closing
 
     @property
     def moves(self) -> bool:
-        """Return whether gaps or ties change, so that what is closed or tied moves."""
+        """Return whether gaps or ties change, so that closed contacts or ties move."""
         return bool(self.whole_gap.any() or self.tie_value.any())
 
     @property
     def by_answer(self) -> bool:
-        """Return whether the data of the rates are products with the answer, so that they have its rounding."""
+        """Return whether the data of the rates are products with the answer, with its rounding."""
         return self.stiffness is not None or self.rows is not None or bool(self.friction.any())
 
     def reversed(self) -> Direction:
@@ -131,19 +131,19 @@ class Direction:
 
 @dataclass(frozen=True, eq=False)
 class Rates(AnswerOf[Vector, Array]):
-    """What changes along a direction; `bound` are errors of displacement and forces, where they are known."""
+    """The rates along a direction; `bound` are errors of displacement and forces, if known."""
 
     gap: Vector  # (m,)
     slip: Array  # (m, d-1)
     reaction: Vector  # (n,)
-    status: Status  # (m,) the states that contacts are in along the direction
+    status: Status  # (m,) the states of contacts along the direction
     bound: Parts | None = None
-    shared: bool = False  # whether contacts that close along the direction share their forces in many ways
-    off: Parts | None = None  # what data that the answer makes are off by: -dK u, whole gaps, own friction
-    motions: tuple[Vector, ...] = ()  # what bodies may move besides along the direction
+    shared: bool = False  # whether forces of contacts that close along the direction are not unique
+    off: Parts | None = None  # errors of data computed from the answer: -dK u, whole gaps, own friction
+    motions: tuple[Vector, ...] = ()  # additional motions that bodies may have along the direction
 
     def reversed(self) -> Rates:
-        """Return the rates towards minus a direction from those along its reverse."""
+        """Return the rates on the minus side of a direction from those along its reverse."""
         kept = ("status", "bound", "shared", "off", "motions")
         return Rates(**{name: one if name in kept else 0.0 - one for name, one in vars(self).items()})
 
@@ -165,8 +165,8 @@ def with_reaction(
     gap = direction.whole_gap - problem.normal @ u
     if direction.rows is not None:
         reaction = direction.load + direction.strained - problem.stiffness_rows @ u
-    else:  # a stiffness times a motion that hardly strains it is rounding
-        tie = problem.tie[: len(found.tie)]  # behind them, what holds slips that begin along their friction
+    else:  # a stiffness times a nearly rigid motion is rounding
+        tie = problem.tie[: len(found.tie)]  # after them, the constraints of slips that begin along their friction
         reaction = problem.normal.T @ found.normal + tie.T @ found.tie
         if problem.tangent is not None:
             reaction = reaction + problem.tangent.T @ friction.ravel()
@@ -174,17 +174,17 @@ def with_reaction(
 
 
 class Scales:
-    """What turns quantities of a problem into square roots of energy, in which they compare."""
+    """Factors that convert quantities of a problem to square roots of energy, to make them comparable."""
 
     def __init__(self, problem: ContactProblem) -> None:
         self._problem = problem
 
     def same(self, of: str, one: Rates, other: Rates) -> bool:
-        """Return whether a quantity has the same rates, beside all rates and in the square root of energy."""
+        """Return whether a quantity has the same rates, relative to all rates in the square root of energy."""
         return self._apart(of, one, other) <= 0
 
     def _apart(self, of: str, one: Rates, other: Rates) -> float:
-        """Return by how much rates of a quantity differ beyond rounding of all rates, in the square root of energy."""
+        """Return the difference of rates of a quantity beyond rounding of all rates, in the square root of energy."""
         difference = self.of(of, getattr(one, of) - getattr(other, of))
         return float(np.max(abs(difference), initial=0.0)) - SAME * max(self.largest(one), self.largest(other))
 
@@ -195,7 +195,7 @@ class Scales:
     def are_one(self, one: Rates, other: Rates) -> bool:
         """Return whether two combinations of states have the same rates.
 
-        What is nothing beside slips is none, nor is what the bounds of the errors of both leave open.
+        Differences that are negligible relative to slips, or within the error bounds of both, are ignored.
         """
         sizes = [self.of(name, getattr(rates, name)) for name in ("slip", "gap") for rates in (one, other)]
         nothing = 64 * EPS * max(float(np.max(abs(size), initial=0.0)) for size in sizes)
@@ -203,14 +203,14 @@ class Scales:
         return all(self._apart(name, one, other) <= nothing for name in MEASURED)
 
     def _left_open(self, rates: Rates) -> float:
-        """Return the largest bound of the errors of rates, in the square root of energy, 0 where there is none."""
+        """Return the largest error bound of rates, in the square root of energy, 0 if there is none."""
         if (bound := rates.bound) is None:
             return 0.0
         parts = bound.displacement, bound.normal, bound.tangent, bound.tie
         return max(float(np.max(self.of(name, one), initial=0.0)) for name, one in zip(MEASURED, parts, strict=True))
 
     def of(self, name: str, values: Array) -> Vector:
-        """Return a quantity in the square root of energy, flat; what no unknown feels is zero."""
+        """Return a quantity in the square root of energy, flat, zero for idle rows."""
         unit, normal, tangent, tie = self.units
         flat = values.ravel()
         if name in ("displacement", "reaction"):
@@ -232,7 +232,7 @@ class Scales:
 
 
 def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Direction) -> Any:
-    """Return what entries of rates may be off by, gaps, slips, friction and reactions in the plane; None if not known.
+    """Return the errors of rates of gaps, slips, friction and reactions, None if unknown.
 
     Parameters
     ----------
@@ -269,12 +269,14 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
 
 
 def closed_on(problem: ContactProblem, contacts: Indices) -> Status:
-    """Return states (m,) in which these contacts alone are closed, without friction."""
+    """Return states (m,) in which only these contacts are closed, without friction."""
     return np.where(np.isin(np.arange(problem.contacts), contacts), SLIP_ON, OPEN).astype(np.int8)
 
 
 def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> ContactProblem:
-    """Return the problem of rates without friction: what grazes are its contacts, what is closed is among its ties."""
+    """Return the problem of rates without friction, with grazing contacts as contacts and closed ones among its
+    ties.
+    """
     rows = sp.csr_array(sp.vstack([problem.tie, problem.normal[closed]]))
     posed = ContactProblem(
         problem.stiffness, np.zeros(problem.dimension), problem.normal[grazing], np.zeros(len(grazing)),
@@ -285,7 +287,7 @@ def rates_posed(problem: ContactProblem, closed: Indices, grazing: Indices) -> C
 
 
 def rates_at_rest(problem: ContactProblem, begins: Indices, holds: Indices, status: Status) -> ContactProblem:
-    """Return the problem of rates of contacts that graze, unslipped, with friction; what holds is among its ties.
+    """Return the problem of rates of grazing contacts without slip, with friction; constrained rows are among its ties.
 
     Parameters
     ----------
@@ -308,7 +310,7 @@ def rates_at_rest(problem: ContactProblem, begins: Indices, holds: Indices, stat
 
 
 def begin_in_one_way(problem: ContactProblem, begins: Indices, holds: Indices, status: Status) -> bool:
-    """Return whether contacts that graze, unslipped, are known to have one answer to every change of data.
+    """Return whether grazing contacts without slip are known to have unique rates for every change of data.
 
     Parameters
     ----------
@@ -333,7 +335,7 @@ def slips_across(problem: ContactProblem, contacts: Indices, across: Array) -> C
 
 
 def repeated(problem: ContactProblem, turn: Any, contacts: Indices, others: Indices) -> Indices:
-    """Return contacts whose row, gap and change of the row are those of another times one number, to the last digit.
+    """Return contacts whose row, gap and change of row are exact multiples of another's.
 
     Parameters
     ----------
@@ -363,7 +365,7 @@ def named(problem: ContactProblem, contacts: Indices) -> str:
 
 
 def at_border(problem: ContactProblem, grazing: Indices, at_bound: Indices) -> str:
-    """Return which contacts graze and which stick at their bounds, in words."""
+    """Return in words the grazing contacts and those that stick at their bounds."""
     kinds = ((grazing, "grazes", "graze"), (at_bound, "sticks at its bound", "stick at their bounds"))
     return "; ".join(
         f"{named(problem, which)} {one if len(which) == 1 else many}" for which, one, many in kinds if len(which)
@@ -373,7 +375,7 @@ def at_border(problem: ContactProblem, grazing: Indices, at_bound: Indices) -> s
 def missed(
     problem: ContactProblem, scales: Scales, found: Rates, direction: Direction, places: tuple[Indices, Indices]
 ) -> float:
-    """Return what rates leave of equilibrium and of what is to be held, as a part of all.
+    """Return the relative residual of rates in equilibrium and constraints.
 
     Parameters
     ----------
@@ -395,7 +397,7 @@ def missed(
 
 
 def turned_by_rounding(problem: ContactProblem, slip: Array, known: Solved) -> Vector:
-    """Return what directions of slips (m, 2) of an answer in doubles may be off by, infinite where nothing slips."""
+    """Return the errors of directions of slips (m, 2) of an answer in doubles, infinite without slip."""
     assert problem.tangent is not None
     assert problem.slip_origin is not None
     assert known.bound is not None
@@ -408,7 +410,7 @@ def turned_by_rounding(problem: ContactProblem, slip: Array, known: Solved) -> V
 def signs_hold(
     problem: ContactProblem, found: Rates, direction: Direction, sides: tuple[Indices, Indices], margin: float
 ) -> bool:
-    """Return whether rates push at contacts that are to close, and part those that are to open or to stay.
+    """Return whether rates have positive forces at closing contacts, and positive gaps at opening ones.
 
     Parameters
     ----------
@@ -424,7 +426,7 @@ def signs_hold(
 
 
 def _gaps_of(problem: ContactProblem, known: Solved) -> tuple[Vector, Vector]:
-    """Return the gaps (m,) of an answer, 0 for infinite ones, and what refinement leaves of them."""
+    """Return the gaps (m,) of an answer, 0 for infinite ones, and their errors after refinement."""
     u = known.extended[0]
     given = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
     moved = known.remainder * unknown_scale(problem) + ROUNDED * abs(u.hi)
@@ -433,13 +435,14 @@ def _gaps_of(problem: ContactProblem, known: Solved) -> tuple[Vector, Vector]:
 
 
 def touch(problem: ContactProblem, known: Solved, contacts: Indices) -> bool:
-    """Return whether gaps of an answer are none to twice double precision."""
+    """Return whether gaps of an answer are zero to twice double precision."""
     gaps, nothing = _gaps_of(problem, known)
     return bool(np.all(abs(gaps[contacts]) <= nothing[contacts] * (ROUNDED_AWAY / INVISIBLE)))
 
 
 def parts_from(problem: ContactProblem, known: Solved, touching: Indices, closed: Indices) -> bool:
-    """Return whether an answer opens what does not touch, and what is not closed though it touches does so.
+    """Return whether gaps of contacts that do not touch are positive, and touching ones that are not closed have zero
+    gaps.
 
     Parameters
     ----------
@@ -454,7 +457,7 @@ def parts_from(problem: ContactProblem, known: Solved, touching: Indices, closed
 def all_held(
     problem: ContactProblem, u: Extended, moved: Vector, data: Parts, places: tuple[Indices, Indices]
 ) -> bool:  # fmt: skip
-    """Return whether what is closed, sticks or is tied is where data say, to twice double precision.
+    """Return whether closed contacts, sticking contacts and ties satisfy their data to twice double precision.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The linear systems of the rates of an answer, whose contacts keep their states, and of their adjoints.
+"""Solve the linear systems of the rates of an answer with fixed contact states, and the transposed systems.
 
 With c the closed contacts, b those that stick, t the directions of slip and C = E_T' diag(mu l_N/|s| (I - t t')) E_T,
 
@@ -7,9 +7,8 @@ With c the closed contacts, b those that stick, t the directions of slip and C =
     [ E_T                                        ] [ dl_T ]   [ slip ]  of b
     [ A                                          ] [ dnu  ]   [ tie  ]
 
-The factors that the answer was found with solve it in double precision (without friction `SaddlePoint`, with it
-`StateSystem`, which knows the transposed system, too); residuals in twice double precision refine what they give, as
-they refine answers.
+The factors of the answer solve it in double precision (`SaddlePoint` without friction, `StateSystem` with friction,
+also for the transposed system), refined by residuals in twice double precision.
 """
 
 from __future__ import annotations
@@ -42,24 +41,24 @@ from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 
-# Sweeps of refinement at most; two or three are made.
+# The most sweeps of refinement; usually two or three are made.
 MAX_SWEEPS = 12
-# What a further sweep may change, as a part of the whole, when refinement stops: next to nothing beside rounding. Of
-# gradients of large bodies, which have no bound and most of whose cost it is, it is what derivatives are right to.
+# The relative change by a further sweep at which refinement stops, far below rounding. For gradients of large bodies,
+# which have no bound and for which refinement is the main cost, it is the accuracy of derivatives.
 ENOUGH, ENOUGH_OF_GRADIENTS = 2.0**-10 * EPS, 1e-9
-# Solutions for data of random signs are of the size that those of the worst signs have over the root of their number;
-# so many of them, and so many times as much, are taken.
+# Solutions for random signs have the size of those for the worst signs over the root of their number. The number of
+# samples, and the safety factor.
 PROBES, ALIKE = 3, 16.0
-# Of fewer unknowns, whose factors are dense or nearly so, refinement costs next to nothing.
+# With fewer unknowns, whose factors are dense, refinement costs little.
 LARGE = 2000
 
 
-# A solution, what its data are off by or None where that is not known, and friction where slips turn.
+# A solution, the errors of its data or None, and friction if slips turn.
 Completed: TypeAlias = tuple[Solved, Parts | None, Array | None]
 
 
 class RateSystem:
-    """The rates of one answer in one combination of states; `closed` and `stuck` are its places.
+    """The rates of one answer in one combination of states, with the indices `closed` and `stuck`.
 
     Parameters
     ----------
@@ -72,8 +71,8 @@ class RateSystem:
     Attributes
     ----------
     status : (m,) array of int, the combination
-    regular : bool, whether the system has one solution for all data
-    redundant : bool, whether rows depend on others, so that forces are not unique
+    regular : bool, whether the system has a unique solution for all data
+    redundant : bool, whether rows are dependent, so that forces are not unique
     turns : bool, whether slips in space turn their friction
     across : contacts in space that begin to slip (q,), what is across their friction (q, 2), held by the last ties, and
         what that may be off by (q,)
@@ -138,10 +137,10 @@ class RateSystem:
         self, y: list[Extended], left: Callable[[list[Extended], int], Parts], transposed: bool,
         foreseen: float | None = None,
     ) -> Solved:  # fmt: skip
-        """Refine a solution until what is left of it, as a function of it and of the sweep, tells nothing more.
+        """Refine a solution until its remainder, computed by a function, is negligible.
 
-        Where slips turn, small ones among large displacements, three sweeps and more are made, and the slowest counts:
-        what converges slowly need not show at first.
+        If slips turn, at least three sweeps are made and the slowest is used, as slow convergence for small slips may
+        not be visible at first.
 
         Parameters
         ----------
@@ -182,7 +181,7 @@ class RateSystem:
         return Solved(found, self._bound(found, remainder), done, tuple(y), remainder, transposed)
 
     def rates(self, direction: Direction, push: Vector, known: Solved | None) -> Rates | None:
-        """Return the rates along a direction, None where refinement led nowhere.
+        """Return the rates along a direction, None if refinement failed.
 
         Parameters
         ----------
@@ -192,7 +191,7 @@ class RateSystem:
         """
         problem = self._problem
         load, slip_origin = direction.whole_load, direction.slip_origin
-        own = np.zeros_like(slip_origin)  # of the friction of contacts that slip, besides what the rates make
+        own = np.zeros_like(slip_origin)  # friction of slipping contacts, in addition to that of the rates
         if problem.tangent is not None and problem.frictional:
             own = (direction.friction * push)[:, None] * self.directions
             own -= np.einsum("mij,mj->mi", self.turning, slip_origin)
@@ -213,7 +212,7 @@ class RateSystem:
         self, direction: Direction, push: Vector, known: Solved | None,
         sides: tuple[NDArray[np.intp], NDArray[np.intp]], margin: float,
     ) -> Rates | None:  # fmt: skip
-        """Return rates without friction and their bounds, None where these are not known or their signs do not hold.
+        """Return rates without friction and their bounds, None if these are unknown or their signs do not agree.
 
         Parameters
         ----------
@@ -227,7 +226,7 @@ class RateSystem:
     def of_parts(
         self, direction: Direction, found: Parts, bound: Parts | None, own: Array, drag: Array | None = None
     ) -> Rates:
-        """Return the rates that a solution of the system stands for.
+        """Return the rates given by a solution of the system.
 
         Parameters
         ----------
@@ -251,7 +250,7 @@ class RateSystem:
         return with_reaction(problem, direction, found, friction, self.status, bound)
 
     def gap(self, solved: Solved, changes: Vector) -> Vector:
-        """Return the rates of gaps (m,) whose own changes are given: bodies may move far, and gaps next to nothing."""
+        """Return the rates of gaps (m,) with given changes of their data, accurate also if motions are much larger."""
         u, push, *others = solved.extended
         whole = self._size([part.double() for part in (u, push, *others)])
         found = (extend(changes) - self._exact.normal @ u).double()
@@ -259,25 +258,26 @@ class RateSystem:
         return zero_beneath([found], [per], INVISIBLE * whole)[0]
 
     def carries(self, known: Solved, touching: NDArray[np.intp]) -> bool:
-        """Return whether the answer on these closed contacts is seen to be the answer.
+        """Return whether the answer on these closed contacts is confirmed.
 
-        Each of them pushes, the others that touch do so to twice double precision, and all that do not are open.
+        Each of them has a positive force, the other touching ones have zero gaps to twice double precision, and all
+        others are open.
         """
         if known.bound is None or not np.all(known.found.normal[self.closed] > known.bound.normal[self.closed]):
             return False
         return parts_from(self._problem, known, touching, self.closed)
 
     def of_independent_rows(self) -> RateSystem:
-        """Return the system on as many rows as are independent; it has bounds where all of them are held."""
+        """Return the system on independent rows, with bounds if all rows are satisfied."""
         return RateSystem(self._problem, self._condensation, self.status, self._answer, True)
 
     def _holds(self, solved: Solved, right: Parts) -> bool:
-        """Return whether a solution holds all that is closed, and sticks, as data say, to twice double precision."""
+        """Return whether a solution satisfies all closed and sticking rows to twice double precision."""
         left = min(solved.remainder, np.finfo(float).max) * self._unit + ROUNDED * abs(solved.extended[0].hi)
         return all_held(self._problem, solved.extended[0], left, right, (self.closed, self.stuck))
 
     def answer(self) -> Solved:
-        """Return the answer, solution for the problem's own data, with the friction of slips.
+        """Return the answer, the solution for the problem's data, with the friction of slips.
 
         In space that is by Newton's method, from the answer in doubles, and `law` is then that of the solution.
         """
@@ -295,7 +295,7 @@ class RateSystem:
         return replace(solved, found=replace(found, tangent=tangent), bound=replace(bound, tangent=apart))
 
     def _newton(self, data: Parts) -> Solved:
-        """Return the answer to the problem's data where slips turn, and keep its law; no bound where that is none."""
+        """Return the answer to the problem's data if slips turn, and store its law, without bound if it failed."""
         problem, start, origin = self._problem, self._answer, data.tangent.ravel()
         assert problem.tangent is not None
         coefficient = self.law.coefficient
@@ -312,7 +312,7 @@ class RateSystem:
         push, sticks = np.where(self.status != OPEN, start.normal, 0.0), np.zeros(self.directions.size)
         first = [Extended(one) for one in (start.displacement, push, sticks, start.tie)]
         solved = self._refined(first, left, False)
-        # Small slips of an answer in doubles have directions of few digits: a system with all of them tells the rest.
+        # Small slips of an answer in doubles have inaccurate directions, which are corrected by Newton's method.
         rounded = [part.double() for part in solved.extended]
         found = Parts(
             rounded[0], rounded[1], slip_of(solved.extended[0]).double().reshape(self.directions.shape), start.tie
@@ -333,15 +333,15 @@ class RateSystem:
         return solved
 
     def _forces(self, remainder: float, which: int) -> Vector:
-        """Return what a remainder in the square root of energy is of normal, tangential or tie forces."""
+        """Return a remainder in the square root of energy as normal, tangential or tie forces."""
         size = self._sizes[which]
         return np.divide(remainder, size, out=np.zeros_like(size), where=size > 0)
 
     def completed(self, solved: Solved, data: Parts, own: Array, direction: Direction, known: Solved) -> Completed:
-        """Return a solution for data that the answer makes, what these data are off by, and friction where slips turn.
+        """Return a solution for data computed from the answer, the errors of these data, and friction if slips turn.
 
-        Their products in doubles lack what twice double precision has; the system is solved for that, too. What is not
-        known of the answer then is spread by the inverse, by solutions for such data of random signs.
+        The rounding of their products in doubles is corrected by another solution. The effect of the answer's error is
+        estimated by solutions for such data of random signs.
 
         Parameters
         ----------
@@ -392,7 +392,7 @@ class RateSystem:
         return solved, replace(off, tangent=np.repeat((unknown + spread)[:, None], own.shape[1], axis=1)), friction
 
     def _drag_of(self, solved: Solved, own: Extended) -> tuple[Array, Vector]:
-        """Return the rates of friction (m, 2) where slips turn, and what more than contact forces they are off by."""
+        """Return rates of friction (m, 2) if slips turn, and their errors beyond those of contact forces."""
         problem, law, (u, normal, tangent, _) = self._problem, self.law, solved.extended
         assert problem.tangent is not None
         slip = self._exact.slip(u)
@@ -403,7 +403,7 @@ class RateSystem:
         return friction, unknown + abs(law.turns.hi) * np.linalg.norm(moved, axis=1)
 
     def with_more(self, solved: Solved, low: Parts, rest: Parts) -> Solved:
-        """Return a solution with what its data in doubles lack, and its bound where the sum is off by up to `rest`."""
+        """Return a solution corrected by the low parts of its data, and its bound for data errors up to `rest`."""
         more, spread = self.solve(low, solved.transposed), self._spread(rest, solved.transposed)
         found = Parts(*(getattr(solved.found, name) + getattr(more.found, name) for name in vars(low)))
         bounds = solved.bound, more.bound, self._bound(found, spread)
@@ -414,7 +414,7 @@ class RateSystem:
         return replace(solved, found=found, bound=bound, extended=whole, remainder=remainder)
 
     def _rest_of_law(self, found: Parts, transposed: bool) -> Parts:
-        """Return what the law, which is off, leaves of the data of a solution at most."""
+        """Return the largest residual in the data of a solution due to the error of the law."""
         problem, law, zero = self._problem, self.law, Parts.zero(self._problem)
         assert problem.tangent is not None
         slip = (problem.tangent @ found.displacement).reshape(self.directions.shape)
@@ -432,7 +432,7 @@ class RateSystem:
         return replace(zero, displacement=load, normal=normal, tie=tie)
 
     def _spread(self, rest: Parts, transposed: bool) -> float:
-        """Return what data up to these sizes may change of a solution, by those of random signs."""
+        """Return the change of a solution by data up to these sizes, estimated with random signs."""
         rng, largest = np.random.default_rng(0), 0.0
         if not any(part.any() for part in vars(rest).values()):
             return 0.0
@@ -443,12 +443,12 @@ class RateSystem:
         return ALIKE * float(np.sqrt(sum(part.size for part in vars(rest).values()))) * largest
 
     def unresolved(self) -> list[Parts]:
-        """Return a basis of what may be added to solutions, with friction and where the system has no inverse."""
+        """Return a basis of the null space of a singular system with friction."""
         assert isinstance(self._system, Frictional)
         return self._system.unresolved()
 
     def _bound(self, found: Parts, remainder: float) -> Parts | None:
-        """Return what further refinement and rounding to doubles may change of each part."""
+        """Return the largest change of each part by further refinement and rounding to doubles."""
         if not np.isfinite(remainder):
             return None
         normal, tangent, tie = (self._forces(remainder, which) for which in range(3))
@@ -466,13 +466,13 @@ class RateSystem:
         return float(max([(abs(u) / self._unit).max(initial=0.0), *(size.max(initial=0.0) for size in sizes)]))
 
     def _on_own_rows(self, right: Parts) -> Parts:
-        """Return data with zeros for contacts that are open and tangents that do not stick."""
+        """Return data with zeros for open contacts and tangents that do not stick."""
         normal, tangent = np.zeros_like(right.normal), np.zeros_like(right.tangent)
         normal[self.closed], tangent[self.stuck] = right.normal[self.closed], right.tangent[self.stuck]
         return Parts(right.displacement, normal, tangent, right.tie)
 
     def _friction(self, y: list[Extended], transposed: bool) -> Extended:
-        """Return the friction (flat) of contacts that slip, or what the transposed system has in its place."""
+        """Return the friction (flat) of slipping contacts, or the corresponding part of the transposed system."""
         _, normal, tangent, _ = y
         if not (len(tangent) and self._problem.frictional):
             return Extended(np.zeros(len(tangent)))

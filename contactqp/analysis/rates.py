@@ -1,19 +1,18 @@
-"""The rates of an answer along a direction of its data, to either side where contacts are at the border of two states.
+"""Compute the rates of an answer along a direction of its data, one-sided if contacts are at the border of two states.
 
-Where every contact keeps its state the rates solve one linear system (`contactqp.analysis.rate_systems`; Fiacco 1976;
-Robinson 1980). At a border they are those of a problem. Without friction the displacement changes at the rate du that
+If every contact keeps its state, the rates solve one linear system (`contactqp.analysis.rate_systems`; Fiacco 1976;
+Robinson 1980). At a border they solve a contact problem. Without friction the displacement changes at the rate du that
 minimises
 
     1/2 du'K du - df'du    over    E_c du = dg_c,    E_w du <= dg_w,    A du = db,
 
-c the contacts that push and w those that graze, whose gap and force both vanish (for membranes over obstacles Mignot
-1976): a contact problem of the same stiffness, with the grazing contacts as its contacts and those that push among its
-ties; its forces are the rates of the forces. With friction every combination of states that the contacts at a border
-may go to is tried: one whose rates lead to where it says is the answer's. In space what begins to slip does so along
-its friction, and across it the rate of its slip is none. The direction in which a grazing contact that has not slipped
-begins to slip is looked for: of one contact all are found, as roots of a polynomial; of several one is, which is the
-only one where the law has one answer at every load: then so have its rates, which leave of the law what is beneath
-them.
+with the contacts c with force, and the grazing contacts w, whose gap and force both vanish (for membranes over
+obstacles Mignot 1976). This is a contact problem with the same stiffness, with contacts w, and contacts c among its
+ties; its forces are the rates of the forces. With friction every combination of possible states of the contacts at a
+border is tried, and one that agrees with its rates is right. In space a sticking contact begins to slip along its
+friction, with no slip rate across it. The slip direction of a grazing contact without slip is unknown: for one contact
+all are found as roots of a polynomial; for several one is found, which is the only one if answers are unique at every
+load.
 """
 
 from __future__ import annotations
@@ -76,24 +75,24 @@ from contactqp.model.solution import Answer, Solution
 from contactqp.solving.solve import solve
 
 IN_SPACE = "graze in space where other answers are not excluded, and together may begin to slip in many directions"
-# Contacts that share their forces, at most, whose displacements have rates by gaps.
+# The most contacts with shared forces for which displacements have rates by gaps.
 MOST_SHARING = 64
 
 
 class Linearised:
-    """An answer and the systems of its rates, which share its factorisation.
+    """An answer with the systems of its rates, which share its factorisation.
 
-    Raises Unsupported: bodies that are not factorised, and with friction not condensed; InvalidProblem: the answer is
+    Raises Unsupported: bodies that are not factorised, or with friction not condensed; InvalidProblem: the answer is
     not certified.
 
     Attributes
     ----------
     undecided : (q,) array, contacts at the border of two states
-    status : (m,) array, the states of the others
+    status : (m,) array, the states of the other contacts
     push : (m,) array, contact forces [force]
-    system : RateSystem or None, None where some are undecided, or nothing is condensed
+    system : RateSystem or None, None if some contacts are undecided, or nothing is condensed
     is_sparse : bool, whether nothing is condensed
-    sure : bool, whether what is near a border of two states was looked at beyond double precision, or nothing is near
+    sure : bool, whether contacts near a border were examined beyond double precision, or there are none
     """
 
     def __init__(self, solution: Solution) -> None:
@@ -110,9 +109,9 @@ class Linearised:
             self._linearise()
 
     def _linearise(self) -> None:
-        """Find the states of the contacts, and the system of their rates where no state is undecided."""
+        """Determine the states of the contacts, and the system of their rates if no state is undecided."""
         problem = self.problem
-        # What is not condensed as it stands: contacts that never close, and rows of zeros, constrain nothing.
+        # Contacts that never close, and rows of zeros, are not condensed, as they have no effect.
         self.is_sparse = problem.has_idle_rows or constraints_are_many(problem) or contacts_are_many(problem)
         if self.is_sparse and problem.frictional:
             raise Unsupported("derivatives: with friction, of contacts that are condensed alone")
@@ -139,11 +138,11 @@ class Linearised:
         self.shares = self._sharing_with_friction(slid) if problem.frictional else None
 
     def _decide(self) -> None:
-        """Find the states of contacts; those that certificates see at a border are decided where they can be.
+        """Determine the states of contacts, deciding those at a border by the certificate if possible.
 
-        Forces and gaps in given states are known far beyond double precision, where these have one answer: a force that
-        is there at all keeps its contact closed, and steps to events have the digits of both. In space, with friction,
-        and where bodies are large and nothing is near a border, doubles do.
+        Forces and gaps in given states are known far beyond double precision if the answer is unique: any nonzero force
+        keeps its contact closed. In space with friction, and for large bodies without contacts near a border, doubles
+        are used.
         """
         solution, problem, words = self.solution, self.problem, self.solution.contact_status
         none = np.zeros(shape_of_tangents(problem))
@@ -177,20 +176,20 @@ class Linearised:
         self._touching = np.union1d(self.closed, self.grazing).astype(np.intp)
 
     def _forces_depend(self) -> bool:
-        """Return whether rows of ties and touching contacts depend on one another, so that forces are not unique."""
+        """Return whether rows of ties and touching contacts are dependent, so that forces are not unique."""
         if self.problem.frictional:
             return False  # the system says it
-        if self.is_sparse:  # nothing is condensed, and the certificate has looked
+        if self.is_sparse:  # nothing is condensed; the certificate has examined it
             return any(bounds.REDUNDANT in reason for reason in self.solution.certificate.reasons)
         if not saddle_point(condense(self.problem), self._touching).redundant:
             return False
         if not len(self.grazing) or saddle_point(condense(self.problem), self.closed).redundant:
             return True
-        # Those that graze take a part of the others' forces where they hold one another, or what the others hold.
+        # Grazing contacts may take over a part of the others' forces if their rows are dependent on these.
         return self._sharing.takes_part(np.isin(self._touching, self.grazing))
 
     def _sharing_with_friction(self, slid: Mask) -> FrictionSharing | None:
-        """Return the contacts with friction, and ties, that share forces; None where none do, or too many touch."""
+        """Return the contacts with friction, and ties, that share forces, None if none do, or too many touch."""
         if (self.system is not None and self.system.regular) or len(self._touching) > MOST_SHARING:
             return None
         forces = Parts(self._answer.displacement, self.push, self._drag, self._answer.tie)
@@ -208,14 +207,14 @@ class Linearised:
         return found if self.system is None and not self._in_space else None
 
     def _close_what_may_push(self) -> None:
-        """Take contacts without force that have some where all share their forces otherwise for closed."""
+        """Treat contacts without force as closed if they have a force in another distribution."""
         stay = self._sharing.stay(self._resultant, np.zeros_like(self.push), np.zeros(self.problem.ties))
         closed = np.union1d(self.closed, [] if stay is None else stay).astype(np.intp)
         self.closed, self.status = closed, closed_on(self.problem, closed)
         self.grazing = self.undecided = np.setdiff1d(self.grazing, closed)
 
     def _system(self, status: Status, rates: Rates | None = None, off: Vector | None = None) -> RateSystem:
-        """Return the system of some states; `rates` has slips that begin anywhere, and pushes, `off` by a part."""
+        """Return the system of some states; `rates` has beginning slips and forces, with relative error `off`."""
         key = status.tobytes()
         if key in self._systems and rates is None:
             return self._systems[key]
@@ -243,13 +242,13 @@ class Linearised:
 
     @property
     def has_events(self) -> bool:
-        """Return whether steps to events are told: not where slips turn, or many contacts share their forces."""
+        """Return whether steps to events are available: not if slips turn, or many contacts share forces."""
         turns = self.turns or (self.shares is not None and self._in_space)
         return not turns and (not (self.redundant and self.is_sparse) or self.sharings_are_few)
 
     @property
     def turns(self) -> bool:
-        """Return whether slips in space turn, or may, so that the answer is not linear along any direction."""
+        """Return whether slips in space may turn, so that the answer is not linear along any direction."""
         return self._in_space and (self.system is None or self.system.turns)
 
     @property
@@ -259,7 +258,7 @@ class Linearised:
 
     @property
     def has_bounds(self) -> bool:
-        """Return whether errors of rates are told where the answer is proven: its states, and how its slips turn."""
+        """Return whether errors of rates are available for a proven answer with certain states and slip directions."""
         if not (self.turns or self.redundant):
             return self.sure
         known = self.extended_answer
@@ -267,7 +266,7 @@ class Linearised:
 
     @cached_property
     def stands(self) -> bool:
-        """Return whether contacts with friction are in their states beyond doubles."""
+        """Return whether contacts with friction satisfy their states beyond double precision."""
         asked = self.problem.frictional and self.sure and (self.shares is None or self.system is None)
         known = self.extended_answer if asked else None
         if known is None or not parts_from(self.problem, known, self._touching, self.closed):
@@ -284,41 +283,41 @@ class Linearised:
 
     @cached_property
     def _sharing(self) -> Sharing:
-        """The ways in which the contacts that touch may share their forces."""
+        """Return all distributions of the forces of touching contacts."""
         return Sharing(self.problem, self._touching, self.scales.units)
 
     @property
     def sharings_are_few(self) -> bool:
-        """Return whether so few contacts touch that every sharing of their forces can be tried."""
+        """Return whether few enough contacts touch to try all distributions of their forces."""
         few = not self.is_sparse or self.problem.ties <= MOST_SHARING
         return few and len(self._touching) <= MOST_SHARING
 
     @property
     def irregular(self) -> str | None:
-        """Return why there are no rates whatever the direction, with friction."""
+        """Return why there are no rates for any direction, with friction."""
         mu, free = self.problem.friction, self.borders.free
         if mu is None or not self.problem.frictional:
             return None
         if self.system is not None:
             return None if self.system.regular or self.shares else SINGULAR
-        if len(free) < 2 or not self.solution.certificate.uniqueness:  # all slips of one contact are found
+        if len(free) < 2 or not self.solution.certificate.uniqueness:  # all slips of a single contact are found
             return None
-        # Contacts that may begin to slip, alone, may have one answer to every change of data.
+        # Contacts that may begin to slip may have unique rates for every change of data.
         others = np.setdiff1d(self.closed, free)
         alone = len(free) == len(self.undecided) and not np.any((self.status[others] != STICK) & (mu[others] > 0))
         in_one_way = alone and begin_in_one_way(self.problem, free, others, self.status)
         return None if in_one_way else f"{named(self.problem, free)} {IN_SPACE}"
 
     def sides(self, direction: Direction) -> tuple[Rates, Rates]:
-        """Return the rates towards minus and plus a direction.
+        """Return the rates on the minus and plus side of a direction.
 
         Raises
         ------
         NoRates
-            There are none towards a side, or several.
+            There are none on a side, or several.
         """
         if self.shares is not None:
-            with suppress(NoRates):  # at a border, where forces are unique, they have rates; else its states refuse it
+            with suppress(NoRates):  # at a border unique forces have rates; otherwise states decide
                 if self.system is None:
                     return self._among_states(direction.reversed()).reversed(), self._among_states(direction)
             return self.shares.sides(direction, self.system, self.borders, self._system, self._in_states)
@@ -333,11 +332,11 @@ class Linearised:
         return ahead, ahead
 
     def _is_shifted(self, direction: Direction) -> bool:
-        """Return whether contacts that share their forces come to share them otherwise."""
+        """Return whether the distribution of shared forces changes."""
         return self.redundant and (direction.moves or direction.rows is not None)
 
     def adjoint(self, weights: Parts) -> Parts:
-        """Return the solution of the transposed system where nothing is condensed or at a border, without friction."""
+        """Return the solution of the transposed system without friction, if nothing is condensed or at a border."""
         zero = Direction.zero(self.problem)
         found = self._by_problem(
             Direction(**(vars(zero) | dict(load=weights.displacement, gap=weights.normal, tie_value=weights.tie)))
@@ -353,7 +352,7 @@ class Linearised:
 
     @cached_property
     def extended_answer(self) -> Solved | None:
-        """The answer in twice double precision, from the system of its states."""
+        """Return the answer in twice double precision from the system of its states."""
         if self.is_sparse:
             return None
         if self.shares is not None and self.system is not None:
@@ -365,9 +364,9 @@ class Linearised:
         return system.answer() if system.regular else None
 
     def _by_problem(self, direction: Direction) -> Rates:
-        """Return the rates without friction as the answer of a problem whose contacts are those that graze.
+        """Return the rates without friction as the answer of a problem with the grazing contacts as contacts.
 
-        Of redundant ones whose gaps change, or of ties, those stay closed that the energy needs, and others may open.
+        If gaps of redundant contacts or ties change, those required by the energy stay closed, and others may open.
         """
         problem, k, load = self.problem, self.problem.ties, direction.whole_load
         closed, grazing, status, limit = self.closed, self.grazing, self.status, direction.whole_gap
@@ -389,7 +388,7 @@ class Linearised:
             posed = self._posed[closed.tobytes()]
             found = solve(posed.replace(load=load, gap=limit[grazing], tie_value=value))
         except NoEquilibrium as none:
-            # Where gaps change nearly alike, which of those that share their forces stays closed was not told.
+            # If gaps change nearly equally, the closed contact among those with shared forces is undecided.
             raise NoRates(REDUNDANT if self._is_shifted(direction) else str(none)) from None
         except (NotCertified, NotConverged) as none:
             raise NoRates(str(none)) from None
@@ -407,13 +406,13 @@ class Linearised:
 
     @property
     def _resultant(self) -> Vector:
-        """The force (n,) of contacts and ties."""
+        """Return the nodal forces (n,) of contacts and ties."""
         return np.asarray(self.problem.normal.T @ self.push + self.problem.tie.T @ self.solution.tie_force)
 
     def _bounded(self, rates: Rates, direction: Direction) -> Rates | None:
-        """Return rates without friction from the system of the states that they lead to, with bounds of their errors.
+        """Return rates without friction from the system of their states, with error bounds.
 
-        None where they are shared, where nothing is condensed, or where their signs in these states do not hold.
+        None if forces are shared, nothing is condensed, or the signs do not agree with these states.
         """
         if self.is_sparse or rates.shared:
             return None
@@ -425,9 +424,10 @@ class Linearised:
         return None if found is None else replace(found, status=self.status, motions=rates.motions)
 
     def _carrying(self, gap: Vector, tie_value: Vector) -> tuple[Indices, Solved] | None:
-        """Return independent contacts that carry all as gaps (m,) and tie values (k,) change, and the answer on them.
+        """Return independent contacts that carry all forces as gaps (m,) and tie values (k,) change, and the answer on
+        them.
 
-        That is beyond doubles; None where it is not seen to be the answer.
+        The answer is beyond double precision; None if it is not confirmed.
         """
         if self.is_sparse or not self.sharings_are_few:
             return None
@@ -439,11 +439,11 @@ class Linearised:
         return (carrying, known) if known and system.carries(known, self._touching) else None
 
     def _carried(self, rates: Rates, direction: Direction) -> Rates:
-        """Return rates at redundant contacts, with bounds of their errors where independent ones carry the changes.
+        """Return rates at redundant contacts, with error bounds if independent ones carry the changes.
 
-        Forces of contacts that carry the answer, and of more that push at their rates, are a sharing: where its signs
-        hold the rates of the displacement are those of the system of these contacts. Along rows, which make other
-        sharings possible, all signs must be told from zero.
+        Forces of contacts that carry the answer, and of others with positive rates, are one distribution: if its signs
+        agree, the rates of the displacement are those of the system of these contacts. For changes of rows, which admit
+        other distributions, all signs must be certain.
         """
         without = replace(rates, bound=None, off=None)
         shift = (direction.whole_gap, direction.tie_value) if self._is_shifted(direction) else None
@@ -457,7 +457,7 @@ class Linearised:
         joining = self._sharing.joining(rates.reaction + turned, carrying, may)
         system = self._system(closed_on(self.problem, np.union1d(carrying, joining).astype(np.intp)))
         sides, margin = (joining, np.setdiff1d(self._touching, system.closed)), 0.0
-        if direction.rows is not None:  # what repeats a closed contact, and turns with it, stays closed
+        if direction.rows is not None:  # a multiple of a closed contact that changes with it stays closed
             apart = repeated(self.problem, direction.rows, sides[1], system.closed)
             sides, margin = (joining, np.setdiff1d(sides[1], apart)), -1.0
         exact = system.where_signs_hold(direction, self.push, known, sides, margin)
@@ -466,13 +466,13 @@ class Linearised:
         return replace(exact, status=rates.status, shared=rates.shared, motions=rates.motions)
 
     def _among_states(self, direction: Direction) -> Rates:
-        """Return the rates with friction of the one combination of states that they lead to."""
+        """Return the rates with friction of the only combination of states that agrees with its rates."""
         return among_states(self.borders, direction, self._system, self._in_states)
 
     def events(self, rates: Rates, sign: float) -> Iterator[float]:
-        """Yield the steps along sign times these rates at which contacts leave the states that the rates are of.
+        """Yield the steps along sign times these rates at which contacts leave the states of the rates.
 
-        Of contacts that graze neither forces nor gaps fall, from nothing.
+        Forces and gaps of grazing contacts do not decrease, as they start from zero.
         """
         if self.redundant:
             turns, whole = self.scales.of("gap", sign * rates.gap), self.scales.largest(rates)
@@ -496,5 +496,5 @@ class Linearised:
             yield from steps_to_events(mu, rates.status, now, along, self.grazing, rests, self._at_bound)
 
     def at_border(self) -> str:
-        """Return which contacts are at a border, in words."""
+        """Return in words the contacts at a border."""
         return at_border(self.problem, self.grazing, self._at_bound)

@@ -1,8 +1,7 @@
-"""The law of slips in space as it changes, the slips with which contacts begin, and the factors that correct rates.
+"""Linearise the friction law of slips in space, compute beginning slips, and provide factors for correcting rates.
 
-In space friction turns with the slip s: of a contact that slips mu l_N t changes at the rate mu dl_N t + C ds, with
-t = s/|s| and C = mu l_N / |s| (I - t t'). Both are those of the exact answer, which doubles round: taken at an answer
-in twice double precision they are known as well as this is.
+In space friction turns with the slip s: mu l_N t of a slipping contact changes at the rate mu dl_N t + C ds, with
+t = s/|s| and C = mu l_N / |s| (I - t t'). They are evaluated at an answer in twice double precision, to be as accurate.
 """
 
 from __future__ import annotations
@@ -23,29 +22,28 @@ from contactqp.model.arrays import TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 
-# Sweeps over contacts that begin to slip, at most, and the part of each slip that the last may change: a start of
-# Newton's method.
+# The most sweeps over contacts that begin to slip, and their tolerance, as a start of Newton's method.
 MOST_SWEEPS, SETTLED = 200, 1e-6
-# Slips and forces that may be off by more than this part of them tell no direction and no turn of it.
+# The largest relative error of slips and forces for which direction and turning are defined.
 TOLD = 2.0**-10
 
 
 @dataclass(frozen=True, eq=False)
 class SlipLaw:
-    """The rates of the friction of contacts that slip, mu dl_N t + C ds, and what t and C are off by.
+    """The rates of friction of slipping contacts, mu dl_N t + C ds, with the errors of t and C.
 
-    In the plane t is +-1 and C is zero. What does not slip has no t.
+    In the plane t is +-1 and C is zero. For other contacts t is zero.
     """
 
     coefficient: Vector  # (m,) mu
     directions: Extended  # ((d-1) m,) t
     turns: Extended  # (m,) mu l_N / |s|
-    off: Vector  # (m,) the length of what t may be off by
-    off_turns: Vector  # (m,) what mu l_N / |s| may be off by, as a part of itself
+    off: Vector  # (m,) the error of t
+    off_turns: Vector  # (m,) the relative error of mu l_N / |s|
 
     @classmethod
     def of_doubles(cls, coefficient: Vector, directions: Array, turns: Vector) -> SlipLaw:
-        """Return the law with directions (m, d-1) and turns (m,) as they are."""
+        """Return the law with exact directions (m, d-1) and turns (m,)."""
         none = np.zeros(len(turns))
         return cls(coefficient, Extended(directions.ravel()), Extended(turns), none, none)
 
@@ -64,7 +62,7 @@ class SlipLaw:
         slides = (status != OPEN) & (status != STICK)
         largest = np.max(abs(slip.hi.reshape(-1, 2)), axis=1, initial=0.0)
         unit = np.where(slides & (largest > 0), np.exp2(-np.frexp(largest)[1].astype(float)), 0.0)
-        scaled = slip.times(np.repeat(unit, 2))  # by powers of two, so that squares have all digits
+        scaled = slip.times(np.repeat(unit, 2))  # by powers of two, so that squares are accurate
         squares = times(scaled, scaled)
         square = squares[0::2] + squares[1::2]
         moves = square.hi > 0
@@ -82,7 +80,7 @@ class SlipLaw:
         return cls(coefficient, directions, turns, off, off_turns)
 
     def with_slips(self, contacts: Indices, directions: Array, turns: Vector, off: Vector) -> SlipLaw:
-        """Return the law where some contacts begin to slip.
+        """Return the law with some contacts that begin to slip.
 
         Parameters
         ----------
@@ -98,7 +96,7 @@ class SlipLaw:
 
     @property
     def is_known(self) -> bool:
-        """Return whether what t may be off by is bounded."""
+        """Return whether the error of t is bounded."""
         return bool(np.all(np.isfinite(self.off)))
 
     @property
@@ -107,12 +105,12 @@ class SlipLaw:
         return len(self.directions) // max(len(self.turns), 1)
 
     def dragged(self, normal: Extended, coefficient: Vector | None = None) -> Extended:
-        """Return mu l t (flat) of forces l (m,), or of other coefficients."""
+        """Return mu l t (flat) for forces l (m,), optionally with other coefficients."""
         bound = times(Extended(self.coefficient if coefficient is None else coefficient), normal)
         return times(self.directions, self._each(bound))
 
     def along(self, slip: Extended) -> Extended:
-        """Return t's (m,) of slips (flat)."""
+        """Return t's (m,) for slips s (flat)."""
         products, width = times(self.directions, slip), self.width
         found = products[0::width]
         for k in range(1, width):
@@ -127,16 +125,16 @@ class SlipLaw:
         return times(self._each(self.turns), across)
 
     def error_of_dragged(self, normal: Vector, coefficient: Vector | None = None) -> Vector:
-        """Return what mu l t (m,) is off by for what t is, in length."""
+        """Return the error of mu l t (m,) due to that of t."""
         return np.asarray(abs((self.coefficient if coefficient is None else coefficient) * normal) * self.off)
 
     def error_of_turned(self, slip: Array) -> Vector:
-        """Return what C s (m,) of slips (m, d-1) is off by for what t and C are, in length."""
+        """Return the error of C s (m,) for slips (m, d-1) due to those of t and C."""
         size = np.linalg.norm(slip, axis=1)
         return np.asarray(abs(self.turns.hi) * size * (self.off_turns + 3 * self.off))
 
     def _each(self, values: Extended) -> Extended:
-        """Return a number for each contact once for each of its directions."""
+        """Return values per contact repeated for each tangent."""
         return Extended(np.repeat(values.hi, self.width), np.repeat(values.lo, self.width))
 
 
@@ -166,10 +164,10 @@ def _root(a: Extended) -> Extended:
 
 
 def slips_that_begin(friction: Vector, push: Vector, drag: Array, pushes: Array, drags: Array) -> list[Array]:
-    """Return slips (q, 2) at whose rates the friction of contacts is at its bound, along them: all of one contact.
+    """Return slip rates (q, 2) with which friction is at its bound along the slips: all solutions for one contact.
 
     Forces are affine in the slips s: normal ones l = push + P s, friction r = drag + D s, and r_i = mu_i l_i s_i/|s_i|.
-    Of more than one contact each is given its slip in turn, until none changes (Gauss-Seidel), and these are returned.
+    For several contacts the slips are iterated contact by contact (Gauss-Seidel), and one solution is returned.
 
     Parameters
     ----------
@@ -196,10 +194,10 @@ def slips_that_begin(friction: Vector, push: Vector, drag: Array, pushes: Array,
 
 
 def _slips_of_one(friction: float, push: float, drag: Vector, by_push: Vector, by_drag: Array) -> list[Vector]:
-    """Return the slips (2,) that one contact may begin with, those that fit best first; as `slips_that_begin`.
+    """Return the possible slips (2,) of one contact, the best first, as in `slips_that_begin`.
 
-    A slip |s| t has drag + |s| D t = mu (push + |s| P t) t. The product with what is across t leaves of it a polynomial
-    of degree 3 in the cosine and sine of the angle of t, without |s|.
+    A slip |s| t has drag + |s| D t = mu (push + |s| P t) t. The component across t is a polynomial of degree 3 in the
+    cosine and sine of the angle of t, without |s|.
     """
     angles = np.arange(8) * (np.pi / 4)
     t = np.stack([np.cos(angles), np.sin(angles)])
@@ -217,18 +215,18 @@ def _slips_of_one(friction: float, push: float, drag: Vector, by_push: Vector, b
 
 
 class FactorisedStates(Protocol):
-    """What is refined by: an approximate inverse, and products of the unknowns with the system."""
+    """The interface of factors for refinement: an approximate inverse, and products with the system."""
 
     @property
     def contraction(self) -> float | None:
-        """The part of a correction that its successor finds missing, where an answer's refinement has told it."""
+        """Return the ratio of successive corrections, if known from the refinement of an answer."""
 
     def correct(self, left: Parts, transposed: bool) -> Parts:
         """Return a solution in double precision."""
 
 
 class Frictionless:
-    """The saddle point of closed contacts and ties, which is symmetric."""
+    """The symmetric saddle-point system of closed contacts and ties."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, closed: Indices) -> None:
         self._condensation, self._closed, self._contacts = condensation, closed, problem.contacts
@@ -259,7 +257,7 @@ class Frictional:
     independent : whether of rows that depend on others only as many act as are independent
     """
 
-    contraction: float | None = None  # of corrections by dense factors, which cost little
+    contraction: float | None = None  # number of corrections by dense factors, which are cheap
 
     def __init__(
         self, problem: ContactProblem, condensation: Condensation, status: Status, answer: Parts, independent: bool
@@ -282,5 +280,5 @@ class Frictional:
         return Parts.of(self._system.correct(*data, transposed=transposed))
 
     def unresolved(self) -> list[Parts]:
-        """Return a basis of what may be added to solutions."""
+        """Return a basis of the null space of the system."""
         return [Parts.of(one) for one in self._system.unresolved()]
