@@ -99,7 +99,7 @@ def decided(
     ----------
     problem, condensation : with friction in the plane, or without
     status : (m,) array of int, the states to begin with
-    near : contacts whose states may be others
+    near : contacts near a border of two states
     answer : Parts, displacement, normal forces, friction and tie forces
     """
     tried: dict[bytes, Decided | Status | None] = {}
@@ -265,7 +265,7 @@ def decided_in_space(
     ----------
     problem : with friction in space
     status : (m,) array of int, the states that certificates see
-    grazing : those that graze, to certificates
+    grazing : grazing contacts by the certificate
     answer, gap, slip : Answer, its gaps (m,) and slips (m, 2)
     """
     assert problem.tangent is not None
@@ -371,7 +371,7 @@ class Borders:
         Parameters
         ----------
         held : the rates at which these contacts stick
-        moved : what they change by along unit slips of each of the contacts, in both of its directions
+        moved : their changes along unit slips of each contact in both tangents
         begins : the contacts
         """
         assert self.problem.friction is not None
@@ -425,7 +425,7 @@ class Borders:
         ----------
         law, known : of the answer
         system, begins : the system, and contacts that begin to slip along their friction in it
-        rates : those that tell slips in any direction, and what these are off by as a part
+        rates : rates that determine slips in any direction, and their relative error
         """
         assert known.bound is not None
         off = lengths(known.bound.tangent[begins]) + lengths(known.found.tangent[begins] - self.drag[begins])
@@ -448,7 +448,7 @@ class Borders:
         Parameters
         ----------
         found : the rates
-        direction : that of load, gaps, stiffness and so on, along which they are
+        direction : the direction of the rates in load, gaps, stiffness and other data
         system : the linear system of the states
         errors : whether to return the bounds of its errors instead
         """

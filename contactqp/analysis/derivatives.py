@@ -192,7 +192,7 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
     of : str
         The quantity, a name of `derivative`'s `of`.
     weights : array in the shape of the quantity, finite
-        With what each of its entries counts in the sum.
+        The weights of its entries in the sum.
     with_respect_to : str
         The parameter, a name of `derivative`'s `with_respect_to`.
     return_bound : bool

@@ -111,8 +111,8 @@ class ExactPath:
     Parameters
     ----------
     problem, first : ContactProblem and the solution from which it starts
-    system : the linear systems of the problem's combinations, where they are at hand
-    refined : whether answers are refined to the last digits; else they are those of `system`, at contact unknowns alone
+    system : the linear systems of the problem's combinations, if available
+    refined : whether answers are refined; else they are those of `system` at contact unknowns only
     """
 
     def __init__(
@@ -462,8 +462,8 @@ def steps_to_events(
     mu : (m,) array, or None without friction
     status : (m,) array of int, the states that the rates are of
     now, rates : StateMargins, and how they change
-    edges : contacts that graze, of which neither forces nor gaps fall from nothing
-    rests : contacts whose slips begin here
+    edges : grazing contacts, whose forces and gaps do not decrease from zero
+    rests : contacts whose slips begin
     at_bound : contacts whose friction is at its bound, which in the plane it may leave for the other
     """
     touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)

@@ -96,7 +96,7 @@ class Cones:
         Parameters
         ----------
         i, state : the contact and its state
-        corners : (c, d-1) array, directions of friction; those of the state and the dimension where it is None
+        corners : (c, d-1) array, directions of friction, by default those of the state
         """
         normal, tangent, mu = self.normal[i], self.tangent[i], self.mu[i]
         if state == OPEN:
@@ -160,7 +160,7 @@ class Group:
         Parameters
         ----------
         cones : rays of the force of each contact
-        change : of the force, along what the rows span, as a part of the group's largest force
+        change : the change of the force in the span of the rows, relative to the group's largest force
         whole : whether all of the change is to be made
         """
         rays = np.concatenate([*cones, self._ties]) @ self._basis.T
@@ -275,7 +275,7 @@ class Group:
         Parameters
         ----------
         choice : states of the contacts, sectors of angles of those that begin to slip in space
-        along : what gaps, slip origins and tie values change at; nothing where it is None
+        along : rates of gaps, slip origins and tie values, None for zero
         """
         cones, (still, apart, begin) = self._cones, ([], [], [])
         _, of_normal, _, of_tie = cones.scales.units

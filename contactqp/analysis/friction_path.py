@@ -74,7 +74,7 @@ def follow_with_friction(
     problem : a problem with tangential rows
     corners : sequence of (n,) arrays, the loads at the corners of the path, the start included [force]
     count : steps of each leg
-    exactly : whether every event is found exactly, and is an instant of its own
+    exactly : whether every event is found exactly, and added as an instant
     method, options : str, dict, as for `solve`
     """
     if exactly and problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:

@@ -153,7 +153,7 @@ class FrictionSharing:
 
         Parameters
         ----------
-        rates : those of one way to share the forces
+        rates : rates for one distribution of forces
         now, edges, rests, at_bound : as in `contactqp.analysis.friction_events.steps_to_events`
         """
         yield self.reach(rates)
@@ -302,7 +302,7 @@ def _on_independent(
 
     Parameters
     ----------
-    system, rates : and those that fit it best
+    system, rates : the system, and its least-squares rates
     direction, rates_of : what they are along, and what returns the rates of a system
     """
     try:
@@ -321,7 +321,7 @@ def states_hold(problem: ContactProblem, status: Status, known: Solved, slip: Ar
     ----------
     problem, status : with friction, and (m,) array of int, the states
     known, slip : the answer beyond doubles, and slips (m, d-1) in doubles
-    contacts : those asked about; that others which slip go on is asked, too
+    contacts : the contacts to check; for all others only slip is checked
     """
     found, bound, mu = known.found, known.bound, problem.friction
     if bound is None or mu is None or problem.tangent is None:

@@ -51,7 +51,7 @@ class Bounded(tuple[Any, Any]):
         Parameters
         ----------
         rows : each with its bound
-        reasons : why these have none, empty where they have
+        reasons : the reasons of missing bounds, empty if there are bounds
         shape : of the matrix, which may have no rows
         """
         values, bounds = ([one[k] for one in rows] for k in (0, 1))
@@ -134,7 +134,7 @@ def gradient(linearised: Linearised, of: str, weights: Array, parameter: str, bo
     ----------
     linearised : the answer and the systems of its rates
     of, weights, parameter : as in `contactqp.analysis.derivatives.pullback`
-    bounded : whether errors are asked for
+    bounded : whether to compute error bounds
 
     Raises
     ------

@@ -157,7 +157,7 @@ def with_reaction(
     ----------
     problem, direction : the problem of the answer, and what the rates are along
     found, friction : rates of displacement and forces, and of friction (m, d-1)
-    status, bound : the states that contacts are in, and what displacement and forces are off by
+    status, bound : the contact states, and the errors of displacement and forces
     """
     u, slip = found.displacement, -direction.slip_origin
     if problem.tangent is not None:
@@ -340,7 +340,7 @@ def repeated(problem: ContactProblem, turn: Any, contacts: Indices, others: Indi
     Parameters
     ----------
     problem, turn : and the change (m, n) of its rows
-    contacts, others : those asked about, and those that they may repeat
+    contacts, others : the contacts to check, and those of which they may be multiples
     """
 
     def data(i: int) -> Vector:
@@ -447,7 +447,7 @@ def parts_from(problem: ContactProblem, known: Solved, touching: Indices, closed
     Parameters
     ----------
     problem, known : and the answer beyond doubles
-    touching, closed : contacts that touch, and those of them that the answer is held by
+    touching, closed : contacts that touch, and those of them on which the answer is computed
     """
     gaps, nothing = _gaps_of(problem, known)
     apart = np.setdiff1d(np.flatnonzero(np.isfinite(problem.gap)), touching)
@@ -462,8 +462,8 @@ def all_held(
     Parameters
     ----------
     problem, u : and the displacement (n,)
-    moved : (n,) array, what refinement leaves of it, with rounding
-    data : what gaps, slips and ties are to be
+    moved : (n,) array, its error after refinement, with rounding
+    data : the values of gaps, slips and ties
     places : the contacts that are closed, and that stick
     """
     exact, width = extended_rows(problem), data.tangent.shape[1]

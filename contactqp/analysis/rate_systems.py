@@ -145,9 +145,9 @@ class RateSystem:
         Parameters
         ----------
         y : the start: displacement, normal forces, flat tangents and ties
-        left : what it leaves of the data, in doubles
+        left : function of the solution and the sweep, returns its residual in doubles
         transposed : whether the system is the transposed one
-        foreseen : the contraction where one sweep is enough if that is small
+        foreseen : the contraction, if one sweep may suffice
         """
         last, contraction, size = np.inf, 1.0, 0.0
         for sweep in range(MAX_SWEEPS):
@@ -187,7 +187,7 @@ class RateSystem:
         ----------
         direction : that of load, gaps, stiffness and so on
         push : (m,) array, contact forces of the answer [force]
-        known : the answer beyond doubles, where it is known
+        known : the answer beyond double precision, if available
         """
         problem = self._problem
         load, slip_origin = direction.whole_load, direction.slip_origin
@@ -218,7 +218,7 @@ class RateSystem:
         ----------
         direction, push, known : as in `rates`
         sides : contacts that are to push at these rates, and contacts that are to open or to stay
-        margin : so many bounds signs may be off; of less than none they must be told from zero
+        margin : the error of signs allowed, in units of bounds; if negative, signs must be certain
         """
         found = self.rates(direction, push, known) if self.regular else None
         return found if found and found.bound and signs_hold(self._problem, found, direction, sides, margin) else None
@@ -230,9 +230,9 @@ class RateSystem:
 
         Parameters
         ----------
-        direction : what they are along
+        direction : the direction of the rates
         found, bound : the solution, and its bound
-        own : (m, d-1) array, the friction of slips that the data hold
+        own : (m, d-1) array, the friction of slips contained in the data
         drag : (m, d-1) array, the rates of friction where they are known beyond doubles
         """
         problem, friction = self._problem, found.tangent

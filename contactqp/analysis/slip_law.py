@@ -57,7 +57,7 @@ class SlipLaw:
         ----------
         coefficient, status : (m,) arrays, mu and the states
         slip, push : slips (2 m,) and contact forces (m,)
-        off_slip, off_push : (m,) arrays, what these may be off by, slips in length
+        off_slip, off_push : (m,) arrays, their errors, of slips in length
         """
         slides = (status != OPEN) & (status != STICK)
         largest = np.max(abs(slip.hi.reshape(-1, 2)), axis=1, initial=0.0)
@@ -85,7 +85,7 @@ class SlipLaw:
         Parameters
         ----------
         contacts, directions : (q,) and (q, d-1) arrays, these contacts and the directions of their slips
-        turns, off : mu dl_N / |ds| (q,), and what directions, and these as parts of themselves, may be off by
+        turns, off : mu dl_N / |ds| (q,), and the errors of directions and relative errors of these
         """
         at = (contacts[:, None] * self.width + np.arange(self.width)).ravel()
         along, turned = (Extended(one.hi.copy(), one.lo.copy()) for one in (self.directions, self.turns))

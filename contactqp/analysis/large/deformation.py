@@ -186,7 +186,7 @@ class LoadedBody:
         Parameters
         ----------
         now : the configuration, its internal forces and contacts
-        K : matrix (n, n), the tangent stiffness, which tells the rounding of internal forces
+        K : matrix (n, n), the tangent stiffness, which determines the rounding of internal forces
         load : (n,) array, the load at this instant [force]
         forces : those of contacts and ties
         length_error, length_rounding : arrays of any one size
@@ -306,7 +306,7 @@ class LargeHistory(History):
     ----------
     solutions : sequence of LargeSolution
     notes : iterable of str
-        What the path says about itself, such as where its steps have jumped.
+        Notes on the path, such as jumps of its steps.
     limit_points : iterable of LimitPoint
         Those of arc length and displacement control.
     events : iterable of Event, optional

@@ -112,7 +112,7 @@ def newton_step(
     K : (n, n) matrix, its tangent, with the curvature of the contacts
     target : loads, tie values and slip origins
     settings : method, options and tolerance
-    before : NewtonStep or None, the step before, whose solution starts this one
+    before : NewtonStep or None, the previous step, whose solution is the start
     forces : the forces of the iteration
     """
     stiff, load = K, target.load

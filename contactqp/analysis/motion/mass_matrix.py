@@ -215,7 +215,7 @@ def slowest_frequency(
         as the eigenvalues of x = respond(s M x).
     mass : (n, n) matrix
     inertia : s [1 / time^2]
-    velocity : (n,) array, what the impact excites: vibrations that have no part in it are not found
+    velocity : (n,) array, the excitation by the impact; vibrations orthogonal to it are not found
     enough : a frequency that need not be known better, nor a slower one [1 / time]
     known : (n,) array, optional
         The shape of a vibration with other contacts closed, which is tried first.
@@ -247,7 +247,7 @@ def _slowest(
     answer : the operator, symmetric in the metric of M
     mass : (n, n) matrix, M
     vector : (n,) array, the start
-    enough : a share beyond which it is not looked for a larger one
+    enough : the ratio at which the search ends
     most : the largest number of steps
     """
     basis: list[Vector] = []

@@ -302,7 +302,7 @@ def diagnose(
     problem : ContactProblem
     given, answer
         What came from another code, and the complete answer that was judged.
-    certificate : that of the answer
+    certificate : the certificate of the answer
     right : Solution or None, the right answer, where one was found
     operations : how many operations other questions may take
     """
@@ -385,9 +385,9 @@ def paragraph(
     ----------
     certificate : Certificate
     problem : ContactProblem
-    findings : tuple of Finding, in the order in which they are to be said
+    findings : tuple of Finding, in the order of output
     wrong : sequence of JudgedContact, the worst first
-    why_not : str or None, why no right answer stands beside this one; None where one does
+    why_not : str or None, the reason why no right answer is known, None if there is one
     """
     worst, others = (wrong[0] if wrong else None), len(wrong) - 1
     if certificate.passed:

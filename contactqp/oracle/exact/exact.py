@@ -69,7 +69,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
         friction and a load path, the one at the end of the path. Of a scene with elastic bodies the floats of the
         assembled problem are taken as they stand.
     method : str
-        A name of `contactqp.methods()`: what proposes.
+        A name of `contactqp.methods()`, which proposes the contact states.
     enclose : bool, optional
         Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
         300 unknowns and contacts. What just touches an enclosure cannot decide: then fractions of small denominators

@@ -475,8 +475,8 @@ def _minimal(
 
     Parameters
     ----------
-    data : RationalProblem, that of the answer
-    load : (n, 1) fmpq_mat, what drives the rates
+    data : RationalProblem, the problem of the answer
+    load : (n, 1) fmpq_mat, the rate of the load
     along : dict, the direction
     least : _Sharing, the forces of the answer that the direction leaves
     """

@@ -313,7 +313,7 @@ def print_answer(console: Console, answer: ExactSolution, ties: Sequence[str], t
     console : rich.console.Console
     answer : ExactSolution
     ties : sequence of str, names of the ties
-    title : what the first line begins with
+    title : the beginning of the first line
     """
     from rich.table import Table
 

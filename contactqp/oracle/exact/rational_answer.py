@@ -141,10 +141,10 @@ def solution_of(
     ----------
     data : the problem in rational numbers
     settled : the proven answer
-    asked : what was asked for: problem, method, when it began
-    solution : Solution or None, what floats proposed
-    equilibria : how many there are, where they were counted
-    findings : tuple of str, what is known of other equilibria
+    asked : the problem, the method, and the starting time
+    solution : Solution or None, the floating-point answer
+    equilibria : the number of equilibria, if counted
+    findings : tuple of str, findings on other equilibria
     events : tuple of ExactEvent, those of a load path
     """
     problem, answer = asked.problem, settled.answer

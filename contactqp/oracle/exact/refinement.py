@@ -298,11 +298,11 @@ def refine(
     problem : ContactProblem
         Its floats are taken as they stand.
     method, **options
-        As in `contactqp.solve`: what solves the magnified problems.
+        As in `contactqp.solve`, for the magnified problems.
     digits : int
         Residuals relative to the load and to the lengths of the problem, at most 90.
     first : Solution, optional
-        In doubles, where it is known already.
+        In doubles, if known.
 
     Raises
     ------

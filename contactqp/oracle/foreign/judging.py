@@ -296,8 +296,8 @@ def judged_contacts(
     ----------
     problem : ContactProblem
     answer : Answer
-    certificate : that of the answer
-    right : Solution or None, is set beside the answer, where there is one
+    certificate : the certificate of the answer
+    right : Solution or None, the right answer for comparison
     """
     names, table = _measures(problem, answer, certificate, right)
     largest = np.max(table, axis=0, initial=0.0)

@@ -66,7 +66,7 @@ def balancing_forces(
     Parameters
     ----------
     rows : matrix (q, n), B, of contacts, tangents and ties
-    residual : (n,) array, r, what forces on the rows have to balance [force]
+    residual : (n,) array, r, to be balanced by forces on the rows [force]
     pushing_only : (q,) array of bool, rows whose forces may not be negative
     scale : (n,) array, 1/sqrt(K_jj)
     left : (q,) array, optional
@@ -188,9 +188,9 @@ def lawful_share(
     residual : (n,) array [force], f - K u less the tie forces that are known
     tied : whether the ties share in the residual
     push : (m,) array [force], optional
-        The normal forces where they are known; the residual is then what friction, and ties, have to balance.
+        The normal forces if known; the residual is then balanced by friction and ties.
     none : float, optional
-        A gap or a slip of this part of its lengths is none.
+        A gap or a slip below this part of its lengths is zero.
     """
     slip = slips(problem, answer.displacement)
     if slip is None or problem.tangent is None or problem.friction is None:

@@ -442,7 +442,7 @@ def stated(
     units : (str, str), of length and of force
     unknowns, contacts : sequences of str, optional
         Their names.
-    one_displacement : given where a proof of uniqueness is known that `only_displacement` does not find
+    one_displacement : true if a proof of uniqueness is known that `only_displacement` does not find
     rounding : by how much the answer to the problem in doubles may differ from this one, relative
     """
     rough = bool(tangent)
@@ -485,7 +485,7 @@ def with_uniqueness(
         The problem and its exact answer.
     description, source, formula : what the problem shows, where it comes from, and its answer as a formula
     names : dict, the names of unknowns, contacts and units, as a ContactProblem takes them
-    one_displacement : whether the displacement is unique, where that is known
+    one_displacement : whether the displacement is unique, if known
     rounding : by how much the answer to the problem in doubles may differ from this one, relative
     """
     displacement = only_displacement(data, answer) if one_displacement is None else one_displacement
