@@ -230,7 +230,7 @@ def seen_states(words: Any, slip: Array) -> Status:
     return status
 
 
-def hardly_apart(certificate: Certificate, status: Status) -> Mask:
+def negligibly_open(certificate: Certificate, status: Status) -> Mask:
     """Return the open contacts (m,) without force whose gap certificates consider negligible."""
     found = certificate.violations
     if found is None:

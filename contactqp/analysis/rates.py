@@ -30,7 +30,7 @@ from contactqp.analysis.border_states import (
     Borders,
     decided,
     decided_in_space,
-    hardly_apart,
+    negligibly_open,
     resolved,
     seen_states,
     sticking_at_bound,
@@ -150,7 +150,7 @@ class Linearised:
         self._drag = none if solution.friction_force is None else solution.friction_force
         self.push, self._gap, self.status = solution.normal_force, solution.gap, seen_states(words, self._slip)
         self.grazing, self._at_bound = (
-            np.flatnonzero((words == "grazing") | hardly_apart(solution.certificate, self.status)),
+            np.flatnonzero((words == "grazing") | negligibly_open(solution.certificate, self.status)),
             sticking_at_bound(problem, self.status, self.push, self._drag),
         )
         near = np.union1d(self.grazing, self._at_bound).astype(np.intp)

@@ -25,7 +25,7 @@ from contactqp.model.problem import ContactProblem
 # The most sweeps over contacts that begin to slip, and their tolerance, as a start of Newton's method.
 MOST_SWEEPS, SETTLED = 200, 1e-6
 # The largest relative error of slips and forces for which direction and turning are defined.
-TOLD = 2.0**-10
+LARGEST_ERROR = 2.0**-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +72,10 @@ class SlipLaw:
         turns = ratio(bound, length).times(unit)
         size = np.where(moves, length.hi / np.where(unit > 0, unit, 1.0), np.inf)
         part = off_slip / size
-        weak = off_push > TOLD * abs(push.hi)
+        weak = off_push > LARGEST_ERROR * abs(push.hi)
         of_push = np.divide(2 * off_push, abs(push.hi), out=np.zeros_like(part), where=~weak & (push.hi != 0))
         off_turns = 2 * part + of_push + ROUNDED
-        unknown = slides & (coefficient > 0) & (~moves | (part > TOLD) | weak)
+        unknown = slides & (coefficient > 0) & (~moves | (part > LARGEST_ERROR) | weak)
         off = np.where(unknown, np.inf, np.where(moves, 2 * part + ROUNDED, 0.0))
         return cls(coefficient, directions, turns, off, off_turns)
 

@@ -194,7 +194,7 @@ def _from_solution(
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    by_residual, by_strain = _left_of_forces(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
+    by_residual, by_strain = _force_errors(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
     own = abs(change) + by_residual
     bounded = unique.forces and bool(np.all(np.isfinite(own + by_strain)))
     found = Bounds(
@@ -221,7 +221,7 @@ def _from_solution(
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
 
 
-def _left_of_forces(problem: ContactProblem, held: ClosedState, distance: float) -> tuple[Vector, Vector]:
+def _force_errors(problem: ContactProblem, held: ClosedState, distance: float) -> tuple[Vector, Vector]:
     """Bound the distance of the closed contacts' forces from the true ones [force], in two parts (m,).
 
     Let v move closed row i by one and no other closed row. Equilibrium of the solution, to its residual r, and of the

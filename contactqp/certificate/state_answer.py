@@ -305,14 +305,14 @@ class _Comparison:
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
                 self.redundant, self.displacement = refined.redundant, reached
-                self.compared = self._beside(refined, status, distance, last, unsure)
+                self.compared = self._comparison(refined, status, distance, last, unsure)
                 return distance, None
             status = signs.changed(status)
             if status.tobytes() in seen:
                 return None, None
         return None, None
 
-    def _beside(
+    def _comparison(
         self, refined: RefinedState, status: Status, distance: _Distance, last: float, unsure: float
     ) -> Compared:
         """Return the result of the comparison with a refined answer, and its distance.

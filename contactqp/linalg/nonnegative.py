@@ -257,7 +257,7 @@ class Sharing:
         _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
         self._basis = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
 
-    def _told(self, resultant: Vector) -> Vector:
+    def _projected(self, resultant: Vector) -> Vector:
         """Return a force (n,) along what the rows span."""
         return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
 
@@ -284,7 +284,7 @@ class Sharing:
         """Return the linear program of the forces of least cost, its rows and their resultant."""
         from scipy.optimize import linprog
 
-        span, told = self._basis @ self.rows.T, self._told(resultant)
+        span, told = self._basis @ self.rows.T, self._projected(resultant)
         told = told / (np.max(abs(told), initial=0.0) or 1.0)
         return linprog(cost, A_eq=span, b_eq=told, bounds=self._limits, method="highs-ds"), span, told
 
@@ -346,7 +346,7 @@ class Sharing:
 
     def reach(self, resultant: Vector, rate: Vector) -> float:
         """Return the largest step x for which contacts can exert resultant + x rate without tension."""
-        return longest_step(self._basis @ self.rows.T, self._told(resultant), self._told(rate), self._limits)
+        return longest_step(self._basis @ self.rows.T, self._projected(resultant), self._projected(rate), self._limits)
 
 
 def longest_step(span: Array, told: Vector, turns: Vector, limits: Sequence[tuple[float | None, None]]) -> float:

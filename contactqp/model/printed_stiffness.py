@@ -331,12 +331,12 @@ def _rigid_but_for_rounding(body: Any, weight: Any, motions: Array, turns: int, 
     impossible = bool(np.any(np.sum(kept * forces, axis=0) < -np.sum(size, axis=0)))
     # No stiffness has negative energy. As inexact rotations cause elastic forces everywhere, translations decide.
     exact = motions[:, : motions.shape[1] - turns] if turns else kept
-    if not impossible and not (known and _of_lost_digits(body, weight, exact)):
+    if not impossible and not (known and _explained_by_lost_digits(body, weight, exact)):
         return np.zeros((len(kept), 0))
     return np.linalg.qr(motions)[0] if kept.shape[1] == motions.shape[1] else kept
 
 
-def _of_lost_digits(body: Any, weight: Any, motions: Array) -> bool:
+def _explained_by_lost_digits(body: Any, weight: Any, motions: Array) -> bool:
     """Return whether the works z_j (K z)_j of motions (p, r) have random signs at many unknowns with lost digits."""
     work = motions * _forces(body, motions)
     felt = abs(work) > abs(motions) * _of_doubles(body, motions)
@@ -396,13 +396,13 @@ class _LeastChange:
         self._i = np.repeat(np.arange(upper.shape[0]), np.diff(upper.indptr))
         self._j = upper.indices
         self._weight = upper.data / np.max(upper.data)
-        self._beside = self._i != self._j
+        self._off_diagonal = self._i != self._j
         self._motions, self._upper, self._turns = motions, upper, turns
         self._body = TURNED * body
         size, count = motions.shape
         square = self._weight**2
         blocks = np.zeros((size, count, count))
-        for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, self._beside)):
+        for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, self._off_diagonal)):
             z = motions[other[kept]]
             np.add.at(blocks, mine[kept], square[kept, None, None] * z[:, :, None] * z[:, None, :])
         turned = np.arange(count - turns, count)
@@ -449,7 +449,7 @@ class _LeastChange:
     def _dense(self) -> Array:
         """Return the matrix that maps the unknowns y, then x, to whitened forces."""
         z, whiten = self._motions, self._whiten
-        (size, count), each, beside = z.shape, np.arange(len(self._weight)), self._beside
+        (size, count), each, beside = z.shape, np.arange(len(self._weight)), self._off_diagonal
         changed = np.zeros((size, count, len(each)))
         for mine, other, kept in ((self._i, self._j, slice(None)), (self._j, self._i, beside)):
             felt = np.einsum("kab,kb->ka", whiten[mine[kept]], self._weight[kept, None] * z[other[kept]])
@@ -478,5 +478,5 @@ class _LeastChange:
         m = np.einsum("ijk,ij->ik", self._whiten, multiplier.reshape(self._motions.shape))
         i, j, z = self._i, self._j, self._motions
         work = np.einsum("ij,ij->i", z[j], m[i])
-        work[self._beside] += np.einsum("ij,ij->i", z[i[self._beside]], m[j[self._beside]])
+        work[self._off_diagonal] += np.einsum("ij,ij->i", z[i[self._off_diagonal]], m[j[self._off_diagonal]])
         return np.append(self._weight * work, (self._body.T @ m[:, m.shape[1] - self._turns :]).ravel())

@@ -384,7 +384,7 @@ def _refuse_indefinite(K: Array) -> None:
         direction = np.linalg.eigh(scaled)[1][:, 0] / scale
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {eigenvalues[0]:.3g} "
-            f"after scaling its diagonal to one){_curved(K, direction)}{_of_lost_digits(eigenvalues[0])}"
+            f"after scaling its diagonal to one){_curved(K, direction)}{_advice_on_digits(eigenvalues[0])}"
         )
 
 
@@ -399,7 +399,7 @@ def _curved(K: Array, direction: Array) -> str:
     return f": z'Kz = {float(curvature):.3g} for z = {named}{', ...' if len(parts) > CURVED_NAMED else ''}"
 
 
-def _of_lost_digits(eigenvalue: float) -> str:
+def _advice_on_digits(eigenvalue: float) -> str:
     """Return advice for an eigenvalue that lost digits may have caused, or an empty string."""
     if eigenvalue < -SYMMETRY_TOLERANCE * 10:
         return ""

@@ -140,8 +140,8 @@ class LoadControl:
             target = replace(target, anchor=anchor)
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
-        if self.loaded.friction is None and (balance.shifted or self._leaps(before, balance)):
-            snap = None if self._slack(before) else self._jump(before, balance, t)
+        if self.loaded.friction is None and (balance.shifted or self._crosses_barrier(before, balance)):
+            snap = None if self._is_slack(before) else self._jump(before, balance, t)
             if snap is not None:
                 snaps.append(snap)
                 notes.append(snap.note)
@@ -152,7 +152,7 @@ class LoadControl:
             )
         return solution
 
-    def _leaps(self, before: LargeSolution, balance: Balance) -> bool:
+    def _crosses_barrier(self, before: LargeSolution, balance: Balance) -> bool:
         """Return whether an energy barrier lies between two equilibria: a motion of negative energy, at a point
         between, that satisfies ties and the contacts with force at both ends.
         """
@@ -169,7 +169,7 @@ class LoadControl:
                     return True
         return False
 
-    def _slack(self, before: LargeSolution) -> bool:
+    def _is_slack(self, before: LargeSolution) -> bool:
         """Return whether nothing is loaded and some motion has no stiffness, as for a chain, whose large first
         displacement is no jump.
         """

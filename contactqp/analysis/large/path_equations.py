@@ -167,7 +167,7 @@ class PathEquations:
             open_tie = self.tie_start + t * self.tie_rate - self.loaded.tie @ now.displacement
             right = [t * self.load - now.internal, now.contact.gap[B], open_tie, np.array([-control.value(now, t)])]
             matrix = self._bordered(K, now, B, c_u, np.zeros(len(B)), c_t)
-            du, normal, tie, dt = self._parted(solve_system(matrix, np.concatenate(right)), B)
+            du, normal, tie, dt = self._split(solve_system(matrix, np.concatenate(right)), B)
             before, t = now, float(t + dt)
             now, forces = self._at(before.displacement + du), Forces(normal, tie)
             target = self.target(t)
@@ -213,7 +213,7 @@ class PathEquations:
         right = np.zeros(len(self.load) + len(B) + len(self.tie_rate) + 1)
         right[-1] = 1.0
         matrix = self._bordered(K, now, B, row, forces, row_t)
-        v, normal, tie, rate = self._parted(solve_system(matrix, right), B)
+        v, normal, tie, rate = self._split(solve_system(matrix, right), B)
         size = max(float(np.max(abs(v), initial=0.0)), self.scale * abs(rate)) or 1.0
         length = size * float(np.hypot(np.linalg.norm(v / size), self.scale * rate / size))
         if not np.isfinite(length) or length == 0:
@@ -258,7 +258,7 @@ class PathEquations:
         inner = sp.bmat([[K, rows.T], [rows, None]], format="csr") if b + k else sp.csr_array(K)
         return sp.bmat([[inner, loads], [border, sp.csr_array([[row_t]])]], format="csc")
 
-    def _parted(self, found: Vector, B: Any) -> tuple[Vector, Vector, Vector, float]:
+    def _split(self, found: Vector, B: Any) -> tuple[Vector, Vector, Vector, float]:
         """Split a solution into u, (m,) l, nu and t."""
         n, b, k = len(self.load), len(B), len(self.tie_rate)
         normal = np.zeros(self.loaded.contacts)

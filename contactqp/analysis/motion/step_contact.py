@@ -43,7 +43,7 @@ DEPENDENT_TIES = 1e-10
 # of some thousand roundings, and the tolerance of residuals is a thousand times larger.
 AT_REST = 1e-12
 # A force is rounding if its effect on its contact is below this part of all effects there.
-DUST = 16 * EPS
+NEGLIGIBLE_EFFECT = 16 * EPS
 # A contact sticks if its friction is below its bound by this part.
 STICKS = 1e-12
 # Nonzero slips of sticking contacts above this part of the lengths are corrected.
@@ -188,7 +188,7 @@ class StepContact:
         normal, friction = self._forces(gap - self._E @ free, posed.closable, free, origin)
         if normal.any():
             if self._frictional:
-                normal, friction = self._without_dust(normal, friction, gap - self._E @ free)
+                normal, friction = self._without_negligible(normal, friction, gap - self._E @ free)
             response, change = self._response(normal, friction)
             if self._frictional and normal.any():
                 better = self._sharpened(normal, friction, free - response, gap, origin)
@@ -215,7 +215,7 @@ class StepContact:
         change = self._tied.solve(self._A @ response)
         return response - self._of_ties @ change, change
 
-    def _without_dust(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
+    def _without_negligible(self, normal: Vector, friction: Vector, c: Vector) -> tuple[Vector, Vector]:
         """Return the forces without those whose effect on their contact is below the rounding of all effects there.
 
         All rows of a contact, and the effects of its forces, have the same unit.
@@ -226,8 +226,8 @@ class StepContact:
         own = self._W.diagonal().reshape(m, width) * abs(force)
         meeting = (abs(self._W) @ abs(force).ravel()).reshape(m, width)
         meeting[:, 0] += abs(c)
-        dust = own <= DUST * np.max(meeting, axis=1, keepdims=True)
-        pushless, frictionless = np.all(dust, axis=1), np.all(dust[:, 1:], axis=1)
+        negligible = own <= NEGLIGIBLE_EFFECT * np.max(meeting, axis=1, keepdims=True)
+        pushless, frictionless = np.all(negligible, axis=1), np.all(negligible[:, 1:], axis=1)
         force[frictionless, 1:] = 0.0
         force[pushless] = 0.0
         return force[:, 0], force[:, 1:].ravel()

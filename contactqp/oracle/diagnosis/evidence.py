@@ -217,7 +217,7 @@ GONE, LEFT = 1e-2, 1e-3
 # Smaller differences count as no error.
 NOTHING = 1e-9
 # Undoing a mistake must reduce the error by this factor even if the rest is below NOTHING.
-TOLD = 0.1
+LEAST_REDUCTION = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,7 +376,7 @@ class Evidence:
 
     def explains(self, left: float) -> bool:
         """Return whether a hypothesis that leaves this error explains the answer."""
-        return left <= min(LEFT, GONE * self.before) or left <= NOTHING < TOLD * self.before
+        return left <= min(LEFT, GONE * self.before) or left <= NOTHING < LEAST_REDUCTION * self.before
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
         """Return whether the certificate passes a changed answer, or the same answer to another problem.

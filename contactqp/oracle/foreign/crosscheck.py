@@ -243,10 +243,10 @@ class _Judging:
             return []
         contacts = self.deck.by_points.free
         if contacts.friction is not None and len(contacts.kept) > MOST_POINTS:
-            return self._if_any("exact answer by points", self._nearly_by_points)
+            return self._if_any("exact answer by points", self._approximately_by_points)
         return self._by("exact", "points")
 
-    def _nearly_by_points(self) -> list[Forces]:
+    def _approximately_by_points(self) -> list[Forces]:
         """Return the exact forces at nodes, corrected by the difference of springs at Gauss points and nodes."""
         on_springs = (self._spring_forces, reference_forces(self.deck, self._nodes, "penalty", "node-to-segment"))
         note(self.deck.ledger.assumed, "exact forces of faces: those of nodes, and the difference of both on springs")

@@ -243,18 +243,18 @@ class Deck:
         tangent = None
         if along:
             entries = np.ones(len(sliding)), (sliding, m + np.arange(len(sliding)))
-            tangent = _beside(exact.tangent, -sp.coo_array(entries, shape=(along, width)))
+            tangent = _side_by_side(exact.tangent, -sp.coo_array(entries, shape=(along, width)))
         behind = sp.coo_array((np.ones(m), (np.arange(m), np.arange(m))), shape=(m, width))
         springs = sp.diags_array(np.concatenate([normal, sticks[sliding]]))
         return ContactProblem(
             stiffness=sp.csc_array(sp.block_diag([exact.stiffness, springs], format="csc")),
             load=np.concatenate([exact.load, np.zeros(width)]),
-            normal=_beside(exact.normal, -behind),
+            normal=_side_by_side(exact.normal, -behind),
             gap=exact.gap,
             tangent=tangent,
             friction=exact.friction,
             slip_origin=exact.slip_origin,
-            tie=_beside(exact.tie, sp.coo_array((exact.ties, width))) if exact.ties else None,
+            tie=_side_by_side(exact.tie, sp.coo_array((exact.ties, width))) if exact.ties else None,
             tie_value=exact.tie_value if exact.ties else None,
             dof_names=[*self.dof_names, *added],
             contact_names=names,
@@ -278,7 +278,7 @@ class Deck:
         return np.concatenate(behind)[kept], np.repeat(np.concatenate(along)[kept], repeat)
 
 
-def _beside(left: Any, right: Any) -> Any:
+def _side_by_side(left: Any, right: Any) -> Any:
     return sp.csr_array(sp.hstack([sp.csr_array(left), sp.csr_array(right)], format="csr"))
 
 

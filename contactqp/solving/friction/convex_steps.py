@@ -143,7 +143,7 @@ class ConvexSteps:
             width=form.d,
         )
         x, z = solve_conic(program, self._method.name, self._settings)
-        return self._parted(x, z[: self._hard.size])
+        return self._split(x, z[: self._hard.size])
 
     def _by_facets(self, linear: Array, mu: Vector | None, bound: Vector | None) -> tuple[Array, Vector]:
         form, m, d = self._form, self._form.m, self._form.d
@@ -177,7 +177,7 @@ class ConvexSteps:
             np.concatenate([np.zeros(m), limit]),
             np.concatenate([np.zeros(len(still)), -form.s[self._hard]]),
         )
-        return self._parted(candidate[0], candidate[1][len(still) :])
+        return self._split(candidate[0], candidate[1][len(still) :])
 
     def _sides(self) -> Array:
         if self._form.d == 2:
@@ -200,7 +200,7 @@ class ConvexSteps:
         answer = solve_convex(self._method, inner, self._settings).answer
         return answer.displacement, answer.tie_force
 
-    def _parted(self, x: Vector, hard: Vector) -> tuple[Array, Vector]:
+    def _split(self, x: Vector, hard: Vector) -> tuple[Array, Vector]:
         form, size = self._form, self._form.m * self._form.d
         joint = np.zeros(form.joints)
         joint[self._soft], joint[self._hard] = x[size:], hard
