@@ -193,7 +193,7 @@ class FrictionSharing:
             if direction.rows is not None:
                 parts, whole = [*parts, direction.rows.T @ normal], [*whole, abs(direction.rows).T @ abs(normal)]
             if width > 1:
-                blocks = sp.block_diag(list(across), format="csr")
+                blocks = sp.block_diag([sp.csr_array(one) for one in across], format="csr")
                 parts.append((problem.tangent.T @ blocks @ problem.tangent).toarray())
                 whole.append((abs(problem.tangent).T @ abs(blocks) @ abs(problem.tangent)).toarray())
             if any(np.any(abs(x) > NOTHING * np.max(y, initial=0.0)) for x, y in zip(parts, whole, strict=True)):

@@ -295,7 +295,7 @@ def test_forces_of_many_skew_contacts_on_soft_parts_are_bounded() -> None:
     rows = sp.csr_matrix(np.hstack([np.zeros((bodies, 1)), np.kron(np.eye(bodies), skew)]))
     load = np.concatenate([[1.0], np.tile(push * skew, bodies)])
     for soft in 2.0 ** np.arange(-60, -50, 3):
-        K = sp.block_diag([[[1.0]], *[soft * body] * bodies], format="csr")
+        K = sp.block_diag([sp.csr_array([[1.0]]), *[sp.csr_array(soft * body)] * bodies], format="csr")
         problem = cq.ContactProblem(K, load, rows, np.zeros(bodies))
         moved = np.concatenate([[1.0], 1e-2 * rng.normal(size=2 * bodies)])
         spoiled = push * rng.choice([0.9, 0.99, 1.01, 1.1], bodies)
