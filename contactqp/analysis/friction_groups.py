@@ -1,7 +1,8 @@
 """Analyse cones of contact forces with friction, and groups of contacts with dependent rows.
 
 The resultant of a group is unique, but not its distribution to contacts. Linear programs determine the combinations of
-open, stick and slip that can exert it, or continue to do so along a direction, and how far.
+open, stick and slip that can exert it, or continue to do so along a direction, and how far. `Sharing` treats groups
+without friction.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ import scipy.sparse as sp
 
 from contactqp.analysis.border_states import MOST_COMBINATIONS
 from contactqp.analysis.rate_data import Direction, Parts, Rates, Scales
-from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, longest_step
+from contactqp.linalg.nonnegative import (
+    CARRIES,
+    DEPENDENT_ROWS,
+    forces_without_tension,
+    given_rows,
+    highs,
+    longest_step,
+)
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, number_of_combinations
 from contactqp.model.problem import ContactProblem
@@ -29,6 +37,9 @@ GOES_ON = 1e-6
 SIDES, NARROW = 16, np.pi / 128
 # The most linear programs for excluding beginning slips in space.
 MOST_PROGRAMS = 2000
+
+# Shared forces below this part of the largest count as zero.
+SEEN = 1e-6
 
 # States of the contacts of one group.
 Choice: TypeAlias = tuple[int, ...]
@@ -321,3 +332,127 @@ def _same_span(one: Array, other: Array) -> bool:
 
 def _directions(angles: Any) -> Array:
     return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+class Sharing:
+    """The possible distributions of a resultant over touching contacts and ties, in the root of energy.
+
+    A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
+    that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
+    with several multipliers).
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    contacts : (q,) array, those that touch
+    units : scale of unknowns (n,), and lengths of normal, tangential and tied rows in it
+    """
+
+    def __init__(
+        self, problem: ContactProblem, contacts: Indices, units: tuple[Vector, Vector, Vector, Vector]
+    ) -> None:
+        unit, normal, _, tie = units
+        lengths = np.concatenate([normal[contacts], tie])
+        rows = sp.csc_array(sp.vstack([problem.normal[contacts], problem.tie]))
+        self._felt, self._unit, self._contacts = np.flatnonzero(np.diff(rows.indptr)), unit, contacts
+        self._lengths = np.where(lengths > 0, lengths, 1.0)
+        self.rows: Array = rows[:, self._felt].toarray() * unit[self._felt] / self._lengths[:, None]
+        self._limits = [(0.0, None)] * len(contacts) + [(None, None)] * problem.ties
+        _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
+        self._basis = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
+
+    def _projected(self, resultant: Vector) -> Vector:
+        """Return a force (n,) along what the rows span."""
+        return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
+
+    def takes_part(self, grazes: Mask) -> bool:
+        """Return whether grazing contacts (q,) can carry forces, among themselves or of the others."""
+        grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
+        resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
+        _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
+        return not residual > CARRIES
+
+    def only(self, ties: bool) -> bool:
+        """Return whether the forces of contacts, or with `ties` those of ties, are unique."""
+        of_contacts, of_ties = np.split(self.rows, [len(self._contacts)])
+        own, others = (of_ties, of_contacts) if ties else (of_contacts, of_ties)
+        own = own[np.any(own != 0, axis=1)]  # rows of zeros have no force
+        return len(self._basis) == len(own) + _rank(others)
+
+    def _cost(self, gap: Vector, tie_value: Vector) -> Vector:
+        """Return the cost of unit forces as gaps (m,) and tie values (k,) change, scaled to a maximum of one."""
+        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
+        return np.asarray(cost / (np.max(abs(cost), initial=0.0) or 1.0))
+
+    def _least(self, resultant: Vector, cost: Vector) -> tuple[Any, Array, Vector]:
+        """Return the linear program of the forces of least cost, its rows and their resultant."""
+        from scipy.optimize import linprog
+
+        span, told = self._basis @ self.rows.T, self._projected(resultant)
+        told = told / (np.max(abs(told), initial=0.0) or 1.0)
+        return linprog(cost, A_eq=span, b_eq=told, bounds=self._limits, method="highs-ds"), span, told
+
+    def carrying(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
+        """Return independent contacts that carry the resultant as gaps (m,) and tie values (k,) change."""
+        least, _, _ = self._least(resultant, self._cost(gap, tie_value))
+        if least.status != 0:
+            return None
+        force = least.x[: len(self._contacts)]
+        return np.asarray(self._contacts[force > CARRIES * np.max(abs(least.x), initial=0.0)], dtype=np.intp)
+
+    def joining(self, resultant: Vector, carrying: Indices, may: Indices) -> Indices:
+        """Return contacts among `may`, independent of the carrying ones and of ties, that carry the rest.
+
+        Parameters
+        ----------
+        resultant : (n,) array, the force that all of them exert
+        carrying, may : contacts whose forces have any sign, and contacts that can push
+        """
+        free = np.concatenate([np.isin(self._contacts, carrying), np.ones(len(self.rows) - len(self._contacts), bool)])
+        _, sizes, basis = np.linalg.svd(self.rows[free], full_matrices=False)
+        held = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
+        places = np.flatnonzero(np.isin(self._contacts, np.setdiff1d(may, carrying)))
+        told = (resultant * self._unit)[self._felt]
+        rest, rows = (one - (one @ held.T) @ held for one in (told, self.rows[places]))
+        pushing = np.linalg.norm(rows, axis=1) > DEPENDENT_ROWS
+        size = np.linalg.norm(rest)
+        if not (pushing.any() and size > CARRIES * np.linalg.norm(told)):
+            return carrying[:0]
+        force, _ = forces_without_tension(rows[pushing], rest / size, np.ones(int(pushing.sum()), dtype=bool))
+        return np.asarray(self._contacts[places[pushing][force > CARRIES]], dtype=np.intp)
+
+    def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
+        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change, None if impossible."""
+        from scipy.optimize import linprog
+
+        cost = self._cost(gap, tie_value)
+        least, span, told = self._least(resultant, cost)
+        if least.status != 0:
+            return None
+        span, told = np.vstack([span, cost]), np.append(told, least.fun)
+        stays = []
+        for place, contact in enumerate(self._contacts):
+            most = linprog(-np.eye(len(cost))[place], A_eq=span, b_eq=told, bounds=self._limits)
+            if most.status == 3 or (most.status == 0 and -most.fun > SEEN):
+                stays.append(contact)
+        return np.array(stays, dtype=np.intp)
+
+    def alone(self, contacts: Indices, resultant: Vector) -> tuple[Vector, Array]:
+        """Return forces of these contacts alone with this resultant, and a basis (q, p) of what may be added."""
+        ties = np.ones(len(self.rows) - len(self._contacts), dtype=bool)
+        places = np.concatenate([np.isin(self._contacts, contacts), ties])
+        rows, lengths = self.rows[places], self._lengths[places]
+        force = np.linalg.lstsq(rows.T, (resultant * self._unit)[self._felt], rcond=DEPENDENT_ROWS)[0]
+        turned, sizes, _ = np.linalg.svd(rows)
+        more = turned[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
+        more = np.where(abs(more) > DEPENDENT_ROWS, more, 0.0)  # rounding of unique forces
+        return (force / lengths)[: len(contacts)], (more / lengths[:, None])[: len(contacts)]
+
+    def reach(self, resultant: Vector, rate: Vector) -> float:
+        """Return the largest step x for which contacts can exert resultant + x rate without tension."""
+        return longest_step(self._basis @ self.rows.T, self._projected(resultant), self._projected(rate), self._limits)
+
+
+def _rank(rows: Array) -> int:
+    sizes = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
+    return int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)))

@@ -36,6 +36,7 @@ from contactqp.analysis.border_states import (
     sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
+from contactqp.analysis.friction_groups import Sharing
 from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
@@ -66,7 +67,6 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths
-from contactqp.linalg.nonnegative import Sharing
 from contactqp.linalg.refinement import INVISIBLE
 from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status

@@ -481,7 +481,8 @@ def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
     if bounds.energy_bounds is None or not bounds.by_energy:
         return
     lower, upper = bounds.energy_bounds
-    if not upper - lower <= max(tolerance * bounds.energy_size, nothing, bounds.energy_rounding):
+    none = nothing if bounds.energy_size <= nothing else 0.0  # forces on soft unknowns may make it large
+    if not upper - lower <= max(tolerance * bounds.energy_size, none, bounds.energy_rounding):
         part = (upper - lower) / bounds.energy_size if bounds.energy_size > 0 else float("inf")
         yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 

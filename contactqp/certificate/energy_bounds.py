@@ -332,8 +332,7 @@ def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
         none,
         suspicious=None if near else f"{said}, and the answer is not near",
         energy_bounds=found.energy_bounds,
-        energy_size=found.energy_size,
-        determined=found.determined,
+        **{name: getattr(found, name) for name in ("energy_size", "energy_rounding", "by_energy", "determined")},
         reasons=(*none.reasons, beside),
     )
 

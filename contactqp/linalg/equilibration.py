@@ -284,7 +284,7 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     connected : (n,) array of int, the number of the part that each unknown belongs to
     beside : the least force of a part that counts, relative to the largest of all
     """
-    twin, scaling = equilibrated(problem)
+    twin, scaling = (balanced if mostly_bare(problem) else equilibrated)(problem)
     u = abs(answer.displacement)
     meeting = problem.load_size
     # With friction no bound would show that forces of two walls on each other hide a load, so that loads alone count.

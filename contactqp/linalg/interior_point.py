@@ -26,7 +26,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import with_added_diagonal
-from contactqp.linalg.least_norm import by_dual_steps, by_single_changes, carried_by_rows
+from contactqp.linalg.least_norm import by_corrections, by_dual_steps, by_single_changes, carried_by_rows
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.schur import factorised
@@ -240,14 +240,17 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
     point = sharpened(problem, answer, effort)
     middle = ExtendedAnswer.of(point.answer)
     state = nearest_state(problem, point.closed, middle, effort, driven)
-    if not state.holds and mostly_bare(problem):
-        for closed, near in ((point.closed, middle), (_closed_in(problem, answer), start)):
-            found = by_dual_steps(solved_on(problem, closed, near, effort), effort)
-            if found.holds:
-                return found
     vertex = None if state.holds else vertex_near(problem, start, _off(problem, answer), effort)
     state = state if vertex is None else vertex
-    return state if state.holds or mostly_bare(problem) else _by_pivots(problem, answer, state, effort)
+    if state.holds or not mostly_bare(problem):
+        return state if state.holds else _by_pivots(problem, answer, state, effort)
+    state, own = refined(state, effort), _closed_in(problem, answer)
+    if not state.holds:
+        state = by_corrections(ClosedState.of(problem, own, start), effort)
+    for closed, near in ((point.closed, middle), (own, start)):
+        if not state.holds:
+            state = by_dual_steps(solved_on(problem, closed, near, effort), effort)
+    return state
 
 
 def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, effort: Effort) -> ClosedState:

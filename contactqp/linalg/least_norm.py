@@ -13,12 +13,12 @@ import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
-from contactqp.linalg.equilibration import worst_of_neighbours
+from contactqp.linalg.equilibration import rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
-from contactqp.linalg.nonnegative import CARRIES, highs, shift_within_gaps
+from contactqp.linalg.nonnegative import CARRIES, LESS, by_strict_programs, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
 from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import (
@@ -347,6 +347,126 @@ def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effo
     effort.back_substitutions += 1
     change[contact] = 1.0
     return change
+
+
+# Rounds in which an answer is corrected, and those that lead to nothing better than a solution.
+ROUNDS, IN_VAIN_AT_BEST = 12, 2
+# What is added to the diagonal at first, more by this factor where factors break, and the length of corrections then.
+ADDED, MORE, LONGER = 1e-3, 10.0, 1e3
+# Forces that balance to this part of the largest leave nothing to correct.
+NONE_LEFT = 1e-20
+# Contacts whose force is so many times what is unbalanced stay closed; where one of these pulls, so many times more.
+STAYS, STAYS_MORE = 1e6, 1e9
+# The least D and d: beneath, no signs are known.
+LEAST_LENGTH, LEAST_FORCE = 1e-30, 1e-26
+# Products that the changes of all corrections, and the factors at their beginning, may take: some seconds.
+PRODUCTS = 1e10
+
+
+def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the state that corrections of an answer lead to; `holds` says whether it solves the problem.
+
+    In units D of a length and d of a force the change v of u, and forces l of contacts in place of l0, minimise
+
+        1/2 v'(D/d K) v - (r + E'l0)'v / d    subject to    E v <= (g - E u) / D,    A v = (b - A u) / D
+
+    where r is what l0 and the ties leave unbalanced. D and d are what the answer misses, in extended precision, so that
+    contacts are told apart that close or open by rounding of the data alone (Gleixner, Steffy and Wolter 2016 for
+    linear programs, Weber, Sager and Gleixner 2019 for quadratic ones). Unknowns without stiffness get some, which acts
+    from where the program before has led (Rockafellar 1976), so that a dual active set leads to the one solution
+    (`StrictProgram`). From its set of contacts `by_dual_steps` goes on.
+
+    Parameters
+    ----------
+    state : ClosedState, of the contacts and the answer to begin with
+    effort : counts factorisations and back-substitutions
+    """
+    problem = state.problem
+    n, q = problem.dimension, problem.contacts + problem.ties
+    if (n + q) * n**2 > PRODUCTS:
+        return state
+    steps = iter(range(effort.corrected, int(PRODUCTS / ((4 * n + q) * n))))
+    _, gap, tie = state.left.double(np.flatnonzero(state.closed))
+    length = float(np.max(abs(np.concatenate([gap, tie])), initial=0.0))
+    best, since, answer, closed, added = state, 0, state.answer, state.closed, ADDED
+    for _ in range(ROUNDS):
+        found = _corrected(problem, (answer, closed), length, added, steps)
+        if found is None:
+            added, length = added * MORE, length * LONGER
+            continue
+        answer, closed, moved = found
+        length, after = LESS * moved, solved_on(problem, closed, answer, effort)
+        if after.solved and not after.holds:
+            after = by_dual_steps(after, effort)
+        better = after.holds and (not best.holds or after.better_than(best))
+        best, since = (after, 0) if better else (best, since + best.holds)
+        if since >= IN_VAIN_AT_BEST or (best.holds and best.force_residual <= NONE_LEFT):
+            break
+    effort.corrected = next(steps, effort.corrected)
+    return best
+
+
+def _corrected(
+    problem: ContactProblem,
+    start: tuple[ExtendedAnswer, Mask],
+    length: float,
+    added: float,
+    steps: Iterator[int],
+    stay: float = STAYS,
+) -> tuple[ExtendedAnswer, Mask, float] | None:
+    """Return the answer that a correction leads to, its closed contacts, and how far its last program moved it.
+
+    Contacts whose forces are far larger than d stay closed, and unknowns fixed by them are left out; where one of them
+    pulls in the end, fewer stay. None where rounding of the factors leads to nothing.
+
+    Parameters
+    ----------
+    problem : equilibrated
+    start : an answer and its closed contacts
+    length : the least D
+    added : what is added to the diagonal of D/d K first
+    steps : changes of the active set that are left
+    stay : contacts whose forces are so many times d stay closed
+    """
+    (answer, closed), E, A = start, problem.normal, problem.tie
+    answer = replace(answer, normal_force=answer.normal_force.times(closed.astype(float)).positive_part())
+    residuals, carried = residuals_of(extended_rows(problem), problem, answer), answer.normal_force.double()
+    force, gap, tie = residuals.force.double(), residuals.gap.double(), residuals.tie.double()
+    missed = float(np.max(np.concatenate([-gap, abs(tie)]), initial=0.0))
+    D, d = max(length, missed, LEAST_LENGTH), max(float(np.max(abs(force), initial=0.0)), LEAST_FORCE)
+    stays, K = closed & (carried > stay * d), problem.stiffness_rows * (D / d)
+    alone, fixed = rows_alone(E[np.flatnonzero(stays)])
+    alone, v = np.flatnonzero(stays)[alone], np.zeros(problem.dimension)
+    entry = E.data[E.indptr[alone]]
+    v[fixed] = gap[alone] / D / entry
+    free, others = np.delete(np.arange(len(v)), fixed), np.delete(np.arange(len(closed)), alone)
+    rows = sp.vstack([E[others], A], format="csr")
+    limit = np.concatenate([gap[others], tie]) / D - rows @ v
+    changing = np.where(stays, 0.0, carried)
+    load = (force + E.T @ changing) / d - K @ v
+    tied, begins = (np.concatenate([mask[others], np.full(problem.ties, of_ties)]) for mask, of_ties in
+                    ((stays, True), (closed & ~stays, False)))  # fmt: skip
+    first = np.flatnonzero(begins)
+    first = first[np.argsort(-changing[others[first]], kind="stable")]
+    program, x, moved = by_strict_programs(
+        K[free][:, free], load[free], rows[:, free], limit, tied, first, added, steps
+    )
+    if program is None:
+        return None
+    change, held, pushed, now = np.zeros(len(v)), np.zeros(len(limit)), np.zeros(len(closed)), stays.copy()
+    change[free], held[program.active] = x, d * program.force
+    closes = np.array([*program.active, *program.conflicting], dtype=np.intp)
+    now[others[closes[closes < len(others)]]] = True
+    pushed[others] = held[: len(others)]
+    unbalanced = d * (load - K @ change) - E.T @ pushed - A.T @ held[len(others) :]
+    pushed[alone] = unbalanced[fixed] / entry
+    kept = np.where(stays, 1.0, 0.0)
+    if np.any(stays & (carried + pushed < 0)):
+        return _corrected(problem, start, length, added, steps, stay * STAYS_MORE)
+    pushing = (answer.normal_force.times(kept) + extend(pushed)).positive_part()
+    tie_force = answer.tie_force + extend(held[len(others) :])
+    after = ExtendedAnswer(answer.displacement + extend(D * (v + change)), pushing, None, tie_force)
+    return after, now, D * moved
 
 
 def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:

@@ -4,21 +4,17 @@ The dual active-set method of Goldfarb and Idnani (1983) in terms of W: each ste
 opens those whose force reaches zero, so that the energy rises strictly and no set recurs. It ends after finitely many
 steps, also with redundant contacts, as a row that depends on closed ones replaces one of them.
 
-`Sharing` treats the many distributions of a force over contacts with dependent rows.
-
 Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
-from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late, seconds_left
-from contactqp.model.problem import ContactProblem
+from contactqp.model.arrays import TINY, Array, Indices, Mask, Vector, refuse_late, seconds_left
 
 # W has a unit diagonal: a row depends on the closed contacts if they reduce its compliance below this.
 DEPENDENT = 1e-11
@@ -155,6 +151,189 @@ def _independent(W: Array, rows: Indices) -> list[int]:
     return chosen
 
 
+# Of a row that is left after its projection on active ones, in the measure of H, this part and less is rounding.
+DEPENDS = 1e-9
+# Rates of forces beneath this part of the largest do not fall; and steps after which rounding of x is taken back.
+STANDS, STEPS_BETWEEN = 1e-12, 20
+
+
+class StrictProgram:
+    """min 1/2 x'Hx - f'x subject to N x <= c, with N x = c in tied rows, by the dual active set in factors.
+
+    With H = L L' and the rows N_a of the active set, N_a L^-T = R'Q': kept are J = L^-T Q and R (Goldfarb and Idnani
+    1983), so that H and the rows count with the roots of their conditions, where `dual_active_set` squares them.
+
+    Parameters
+    ----------
+    stiffness, force : (n, n) and (n,) arrays, H and f
+    rows, limit, tied : (q, n), (q,) and (q,) arrays, N, c and which of them are equations
+
+    Attributes
+    ----------
+    active : list of int, rows that hold x, none of which depends on others
+    force : (q,) array, of the active rows, not negative but on tied ones
+    conflicting : set of int, rows that depend on active ones and contradict them, which are left as they are
+    ended : whether no other row is violated
+    """
+
+    def __init__(self, stiffness: Array, force: Vector, rows: Array, limit: Vector, tied: Mask) -> None:
+        from scipy.linalg import solve_triangular
+
+        self._solve = solve_triangular
+        self._load, self._rows, self._limit, self._tied = force, rows, limit, tied
+        self._root = np.linalg.cholesky(stiffness)
+        self._J, self._R, self.active = np.zeros((0, 0)), np.zeros(stiffness.shape), list[int]()
+        self.force, self.conflicting, self.ended = np.zeros(0), set[int](), False
+
+    def solve(self, start: Indices, tolerance: float, steps: Iterator[int]) -> Vector:
+        """Return x, from the set of tied rows and those to start with that do not pull.
+
+        Parameters
+        ----------
+        start : rows in the order in which they are made active
+        tolerance : by how much a row of length one may be violated
+        steps : those that are left
+        """
+        self._begin(np.concatenate([np.flatnonzero(self._tied), start]))
+        x, self.force = self._held()
+        while pulling := [k for k, i in enumerate(self.active) if self.force[k] < 0 and not self._tied[i]]:
+            for k in reversed(pulling):
+                self._leave(k)
+            x, self.force = self._held()
+        length = np.maximum(np.linalg.norm(self._rows, axis=1), TINY)
+        for step in steps:
+            if step % STEPS_UNTIMED == 0:
+                refuse_late("contacts open and close one by one")
+            excess = np.where(self._tied, 0.0, (self._rows @ x - self._limit) / length - tolerance)
+            excess[[*self.active, *self.conflicting]] = 0.0
+            worst = int(np.argmax(excess))
+            if self.ended or not excess[worst] > 0:
+                self.ended = True
+                break
+            x = self._closed(worst, x, steps)
+            if step % STEPS_BETWEEN == 0:
+                x, self.force = self._held()
+        return self._held()[0]
+
+    def _begin(self, rows: Indices) -> None:
+        """Factorise the rows that are to be active, without those that depend on rows before them."""
+        from scipy.linalg import qr
+
+        while True:
+            scaled = self._solve(self._root, self._rows[rows].T, lower=True)
+            Q, R = qr(scaled)
+            own = abs(np.diagonal(R))
+            independent = own > DEPENDS * np.linalg.norm(scaled[:, : len(own)], axis=0)
+            if independent.all() and len(own) == len(rows):
+                break
+            rows = rows[: len(own)][independent]
+        self.active = [int(row) for row in rows]
+        self._R[: len(rows), : len(rows)] = R[: len(rows)]
+        self._J = np.asarray(self._solve(self._root, Q, lower=True, trans=1))
+
+    def _closed(self, row: int, x: Vector, steps: Iterator[int]) -> Vector:
+        """Return x when a violated row has become active, in whose way others have opened whose force reached zero."""
+        pushed = 0.0
+        while True:
+            along = self._J.T @ self._rows[row]
+            q = len(self.active)
+            rate = self._solve(self._R[:q, :q], along[:q]) if q else np.zeros(0)
+            left = float(np.linalg.norm(along[q:]))
+            depends = left <= DEPENDS * float(np.linalg.norm(along))
+            falls = (rate > STANDS * np.max(abs(rate), initial=0.0)) & ~self._tied[self.active]
+            falling = np.flatnonzero(falls)
+            ratios = self.force[falling] / rate[falling]
+            full = np.inf if depends else float(self._rows[row] @ x - self._limit[row]) / left**2
+            step = min(full, float(np.min(ratios, initial=np.inf)))
+            if not np.isfinite(step) or next(steps, None) is None:
+                self.conflicting.add(row)
+                return self._held()[0]
+            self.force, pushed = self.force - step * rate, pushed + step
+            x = x if depends else x - step * (self._J[:, q:] @ along[q:])
+            if step == full:
+                self._join(row)
+                self.force = np.append(self.force, pushed)
+                return x
+            opened = int(falling[np.argmin(ratios)])
+            self.force = np.delete(self.force, opened)
+            self._leave(opened)
+
+    def _held(self) -> tuple[Vector, Vector]:
+        """Return x at the minimum with the active rows held, and their forces."""
+        q = len(self.active)
+        free, R = self._J.T @ self._load, self._R[:q, :q]
+        held = self._solve(R, self._limit[self.active], trans=1) if q else np.zeros(0)
+        force = self._solve(R, free[:q] - held) if q else np.zeros(0)
+        return self._J @ np.concatenate([held, free[q:]]), force
+
+    def _join(self, row: int) -> None:
+        """Make a row active, if it does not depend on those that are, by a reflection of J."""
+        along, q = self._J.T @ self._rows[row], len(self.active)
+        left = float(np.linalg.norm(along[q:]))
+        if not left > DEPENDS * float(np.linalg.norm(along)):
+            return
+        normal = along[q:].copy()
+        end = -np.copysign(left, normal[0])
+        normal[0] -= end
+        normal /= np.linalg.norm(normal)
+        self._J[:, q:] -= np.outer(2.0 * (self._J[:, q:] @ normal), normal)
+        self._R[:q, q], self._R[q, q] = along[:q], end
+        self.active.append(row)
+
+    def _leave(self, place: int) -> None:
+        """Remove the row in this place from the active ones, by rotations of neighbouring columns of J."""
+        q = len(self.active)
+        self._R[:, place : q - 1], self._R[:, q - 1] = self._R[:, place + 1 : q], 0.0
+        self.active.pop(place)
+        for j in range(place, q - 1):
+            a, b = self._R[j, j], self._R[j + 1, j]
+            size = np.hypot(a, b)
+            if size > 0:
+                turn = np.array([[a, b], [-b, a]]) / size
+                self._R[j : j + 2, j : q - 1] = turn @ self._R[j : j + 2, j : q - 1]
+                self._J[:, j : j + 2] = self._J[:, j : j + 2] @ turn.T
+
+
+# Programs, of which each adds less to the diagonal by this factor than the one before, until that leaves forces out of
+# balance by no more than this; and lengths by which rows may be missed.
+PROGRAMS, LESS, LEAVES, MISSES = 3, 0.1, 1e-9, 1e-9
+
+
+def by_strict_programs(
+    stiffness: Any,
+    load: Vector,
+    rows: Any,
+    limit: Vector,
+    tied: Mask,
+    start: Indices,
+    added: float,
+    steps: Iterator[int],
+) -> tuple[StrictProgram | None, Vector, float]:
+    """Return the last of some strictly convex programs that ended, its solution, and how far it is from the one before.
+
+    Unknowns without stiffness get some, which acts from where the program before has led (Rockafellar 1976).
+
+
+    Parameters
+    ----------
+    stiffness, load, rows, limit, tied, start, steps : as in `StrictProgram`, H and N sparse
+    added : what is added to the diagonal first
+    """
+    dense, across = stiffness.toarray(), rows.toarray()
+    program, x, moved = None, np.zeros(len(load)), np.inf
+    for _ in range(PROGRAMS):
+        strict = StrictProgram(dense + added * np.eye(len(x)), load + added * x, across, limit, tied)
+        after = strict.solve(start, MISSES, steps)
+        if not (strict.ended and np.all(np.isfinite(after))):
+            break
+        moved, x, program = float(np.max(abs(after - x), initial=0.0)), after, strict
+        if added * moved <= LEAVES:
+            break
+        start = np.array([row for row in strict.active if not tied[row]], dtype=np.intp)
+        added *= LESS
+    return program, x, moved
+
+
 def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, float]:
     """Minimise |matrix x - right| over x >= 0 by the algorithm of Lawson and Hanson (1974); return x and this residual.
 
@@ -226,127 +405,6 @@ def highs(cost: Vector, **constraints: Any) -> Any:
 
 # Unit rows are dependent up to this part of the largest singular value.
 DEPENDENT_ROWS = 1e-10
-# Shared forces below this part of the largest count as zero.
-SEEN = 1e-6
-
-
-class Sharing:
-    """The possible distributions of a resultant over touching contacts and ties, in the root of energy.
-
-    A problem's energy changes with gaps dg and tie values db at the rate -min(l'dg + nu'db) over all of them, and where
-    that is least contacts whose force may be more than nothing stay closed: what `stay` tells (Dempe 2002, of programs
-    with several multipliers).
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    contacts : (q,) array, those that touch
-    units : scale of unknowns (n,), and lengths of normal, tangential and tied rows in it
-    """
-
-    def __init__(
-        self, problem: ContactProblem, contacts: Indices, units: tuple[Vector, Vector, Vector, Vector]
-    ) -> None:
-        unit, normal, _, tie = units
-        lengths = np.concatenate([normal[contacts], tie])
-        rows = sp.csc_array(sp.vstack([problem.normal[contacts], problem.tie]))
-        self._felt, self._unit, self._contacts = np.flatnonzero(np.diff(rows.indptr)), unit, contacts
-        self._lengths = np.where(lengths > 0, lengths, 1.0)
-        self.rows: Array = rows[:, self._felt].toarray() * unit[self._felt] / self._lengths[:, None]
-        self._limits = [(0.0, None)] * len(contacts) + [(None, None)] * problem.ties
-        _, sizes, basis = np.linalg.svd(self.rows, full_matrices=False)
-        self._basis = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
-
-    def _projected(self, resultant: Vector) -> Vector:
-        """Return a force (n,) along what the rows span."""
-        return np.asarray(self._basis @ (resultant * self._unit)[self._felt])
-
-    def takes_part(self, grazes: Mask) -> bool:
-        """Return whether grazing contacts (q,) can carry forces, among themselves or of the others."""
-        grazing = np.concatenate([grazes, np.zeros(len(self.rows) - len(grazes), dtype=bool)])
-        resultant = np.append(np.zeros(self.rows.shape[1]), 1.0)
-        _, residual = forces_without_tension(np.column_stack([self.rows, grazing]), resultant, grazing)
-        return not residual > CARRIES
-
-    def only(self, ties: bool) -> bool:
-        """Return whether the forces of contacts, or with `ties` those of ties, are unique."""
-        of_contacts, of_ties = np.split(self.rows, [len(self._contacts)])
-        own, others = (of_ties, of_contacts) if ties else (of_contacts, of_ties)
-        own = own[np.any(own != 0, axis=1)]  # rows of zeros have no force
-        return len(self._basis) == len(own) + _rank(others)
-
-    def _cost(self, gap: Vector, tie_value: Vector) -> Vector:
-        """Return the cost of unit forces as gaps (m,) and tie values (k,) change, scaled to a maximum of one."""
-        cost = np.concatenate([gap[self._contacts], tie_value]) / self._lengths
-        return np.asarray(cost / (np.max(abs(cost), initial=0.0) or 1.0))
-
-    def _least(self, resultant: Vector, cost: Vector) -> tuple[Any, Array, Vector]:
-        """Return the linear program of the forces of least cost, its rows and their resultant."""
-        from scipy.optimize import linprog
-
-        span, told = self._basis @ self.rows.T, self._projected(resultant)
-        told = told / (np.max(abs(told), initial=0.0) or 1.0)
-        return linprog(cost, A_eq=span, b_eq=told, bounds=self._limits, method="highs-ds"), span, told
-
-    def carrying(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
-        """Return independent contacts that carry the resultant as gaps (m,) and tie values (k,) change."""
-        least, _, _ = self._least(resultant, self._cost(gap, tie_value))
-        if least.status != 0:
-            return None
-        force = least.x[: len(self._contacts)]
-        return np.asarray(self._contacts[force > CARRIES * np.max(abs(least.x), initial=0.0)], dtype=np.intp)
-
-    def joining(self, resultant: Vector, carrying: Indices, may: Indices) -> Indices:
-        """Return contacts among `may`, independent of the carrying ones and of ties, that carry the rest.
-
-        Parameters
-        ----------
-        resultant : (n,) array, the force that all of them exert
-        carrying, may : contacts whose forces have any sign, and contacts that can push
-        """
-        free = np.concatenate([np.isin(self._contacts, carrying), np.ones(len(self.rows) - len(self._contacts), bool)])
-        _, sizes, basis = np.linalg.svd(self.rows[free], full_matrices=False)
-        held = basis[sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)]
-        places = np.flatnonzero(np.isin(self._contacts, np.setdiff1d(may, carrying)))
-        told = (resultant * self._unit)[self._felt]
-        rest, rows = (one - (one @ held.T) @ held for one in (told, self.rows[places]))
-        pushing = np.linalg.norm(rows, axis=1) > DEPENDENT_ROWS
-        size = np.linalg.norm(rest)
-        if not (pushing.any() and size > CARRIES * np.linalg.norm(told)):
-            return carrying[:0]
-        force, _ = forces_without_tension(rows[pushing], rest / size, np.ones(int(pushing.sum()), dtype=bool))
-        return np.asarray(self._contacts[places[pushing][force > CARRIES]], dtype=np.intp)
-
-    def stay(self, resultant: Vector, gap: Vector, tie_value: Vector) -> Indices | None:
-        """Return the contacts that stay closed as gaps (m,) and tie values (k,) change, None if impossible."""
-        from scipy.optimize import linprog
-
-        cost = self._cost(gap, tie_value)
-        least, span, told = self._least(resultant, cost)
-        if least.status != 0:
-            return None
-        span, told = np.vstack([span, cost]), np.append(told, least.fun)
-        stays = []
-        for place, contact in enumerate(self._contacts):
-            most = linprog(-np.eye(len(cost))[place], A_eq=span, b_eq=told, bounds=self._limits)
-            if most.status == 3 or (most.status == 0 and -most.fun > SEEN):
-                stays.append(contact)
-        return np.array(stays, dtype=np.intp)
-
-    def alone(self, contacts: Indices, resultant: Vector) -> tuple[Vector, Array]:
-        """Return forces of these contacts alone with this resultant, and a basis (q, p) of what may be added."""
-        ties = np.ones(len(self.rows) - len(self._contacts), dtype=bool)
-        places = np.concatenate([np.isin(self._contacts, contacts), ties])
-        rows, lengths = self.rows[places], self._lengths[places]
-        force = np.linalg.lstsq(rows.T, (resultant * self._unit)[self._felt], rcond=DEPENDENT_ROWS)[0]
-        turned, sizes, _ = np.linalg.svd(rows)
-        more = turned[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
-        more = np.where(abs(more) > DEPENDENT_ROWS, more, 0.0)  # rounding of unique forces
-        return (force / lengths)[: len(contacts)], (more / lengths[:, None])[: len(contacts)]
-
-    def reach(self, resultant: Vector, rate: Vector) -> float:
-        """Return the largest step x for which contacts can exert resultant + x rate without tension."""
-        return longest_step(self._basis @ self.rows.T, self._projected(resultant), self._projected(rate), self._limits)
 
 
 def longest_step(span: Array, told: Vector, turns: Vector, limits: Sequence[tuple[float | None, None]]) -> float:
@@ -365,11 +423,6 @@ def longest_step(span: Array, told: Vector, turns: Vector, limits: Sequence[tupl
     equations = np.column_stack([span, -turns / speed])
     most = linprog(cost, A_eq=equations, b_eq=told / size, bounds=[*limits, (0.0, None)])
     return float(-most.fun * size / speed) if most.status == 0 else np.inf if most.status == 3 else 0.0
-
-
-def _rank(rows: Array) -> int:
-    sizes = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
-    return int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)))
 
 
 def width_within(turns: Array, signs: Vector, far: float) -> float:

@@ -181,11 +181,10 @@ class SparseSaddle:
 class Effort:
     """The number of factorisations and back-substitutions of saddle points so far, with their limits.
 
-    `wasted` is how many changes of the closed contacts may leave no fewer of them wrong, `most` the factorisations
-    after which no more are made; `cut` says that one was not made for either reason. `pivots` says whether rows that
-    are not met together get factors with pivots, which led to no solution `in_vain` times, `ranked` whether dense ones
-    tell their rank. `singles` counts contacts that changed one by one. `first` is what was added to the diagonal where
-    sweeps met a set of contacts: for the sets that follow it is tried first.
+    `wasted` changes of the closed contacts may leave no fewer of them wrong, and `most` factorisations are made; `cut`
+    says that one was not made for either reason. `pivots` says whether rows not met together get factors with pivots,
+    in vain `in_vain` times, `ranked` whether dense ones tell their rank. `singles` and `corrected` count contacts that
+    changed one by one, these in corrections. `first` was added to the diagonal where sweeps met a set of contacts.
     """
 
     factorisations: int = 0
@@ -196,6 +195,7 @@ class Effort:
     pivots: bool = False
     ranked: bool = False
     singles: int = 0
+    corrected: int = 0
     in_vain: int = 0
     first: float = REGULARISATIONS[0]
 

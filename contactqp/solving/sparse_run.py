@@ -347,11 +347,11 @@ class SparseRun(Run):
 
     def refuse_conflict(self) -> None:
         """Raise NoEquilibrium if the constraints conflict or the energy is unbounded below."""
-        if self._state is not None:
-            return  # it satisfies all constraints to rounding of the largest length
-        self._refuse_overlap()
-        refuse_sparse_conflict(self.problem)
-        refuse_sparse_drive(self.problem)
+        if self._state is None:  # else it satisfies all constraints to rounding of the largest length
+            self._refuse_overlap()
+            refuse_sparse_conflict(self.problem)
+        if self._state is None or mostly_bare(self.problem):
+            refuse_sparse_drive(self.problem)
 
     def _refuse_overlap(self) -> None:
         """Raise NoEquilibrium if the displacement with the least violation of the constraints proves their conflict.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,11 +12,12 @@ from scipy.optimize import linprog
 
 import contactqp as cq
 from benchmarks.judging import exact_truth
-from contactqp.certificate.bounds import REDUNDANT, failed_errors
+from contactqp.certificate.bounds import REDUNDANT, Bounds, failed_energy, failed_errors
 from contactqp.certificate.energy_bounds import (
     CAUTION,
     NOT_APART,
     REACH,
+    _of_conflict,
     _taken_at_random,
     _taken_by_constraints,
     diagonal_dominance,
@@ -464,3 +466,17 @@ def test_differences_of_thousands_of_unknowns_have_forces_of_their_own() -> None
     half[[pushing, -1]] = force[pushing] / 2
     shared = Answer(fit, half, None, np.zeros(0))
     assert energy_bounds(twice, shared).reasons == (f"force_bound: {REDUNDANT}",)
+
+
+def test_an_energy_that_is_more_than_nothing_is_judged_by_itself() -> None:
+    """Forces on soft unknowns made 12 nothing beside an energy of 2698, and an answer above it by that passed."""
+    wide = Bounds(energy_bounds=(2698.0, 2710.0), energy_size=2698.0, by_energy=True)
+    assert list(failed_energy(wide, 1e-9, 12.5))
+    assert not list(failed_energy(replace(wide, energy_bounds=(2698.0, 2698.0 + 1e-6)), 1e-9, 12.5))
+    assert not list(failed_energy(replace(wide, energy_bounds=(0.0, 1e-3), energy_size=1e-4), 1e-9, 12.5))
+
+
+def test_wide_bounds_beside_a_conflict_refuse() -> None:
+    """Rows that conflict by rounding leave bounds of the energy beside, which tell a wrong answer all the same."""
+    wide = Bounds(energy_bounds=(2586.0, 2897.0), energy_size=2742.0, by_energy=True)
+    assert list(failed_energy(_of_conflict(wide, "4.5e-19 of the largest length", near=True), 1e-9, 0.0))

@@ -15,10 +15,12 @@ from contactqp.linalg import interior_point, sparse_saddle
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.interior_point import MET_TOGETHER, without_conflict
-from contactqp.linalg.least_norm import by_dual_steps
+from contactqp.linalg.least_norm import by_corrections, by_dual_steps
+from contactqp.linalg.nonnegative import StrictProgram
 from contactqp.linalg.schur import RankedSaddle
-from contactqp.linalg.sparse_saddle import Effort, nearest_state, solved_on
+from contactqp.linalg.sparse_saddle import ClosedState, Effort, nearest_state, solved_on
 from contactqp.model.solution import Answer, Candidate
+from contactqp.solving.methods import Settings, find
 
 UNKNOWNS, ROWS, IDLE = 3, 9, 8
 
@@ -353,3 +355,100 @@ def test_dense_factors_tell_rows_that_depend_on_others() -> None:
     assert rows.T @ force == pytest.approx([3.0, 2.0, 0.0], abs=1e-14)
     least = np.linalg.lstsq((rows / np.linalg.norm(rows, axis=1)[:, None]).T, [3.0, 2.0, 0.0], rcond=None)[0]
     assert force * np.linalg.norm(rows, axis=1) == pytest.approx(least, rel=1e-13)
+
+
+def wide(seed: int, unknowns: int, decades: float) -> cq.ContactProblem:
+    """A program whose coefficients range over nine decades, its unknowns and rows in units of so many each way."""
+    random = np.random.default_rng([unknowns, seed])
+    rows = int(0.45 * unknowns)
+    C = np.zeros((rows, unknowns))
+    for row in C:
+        at = random.choice(unknowns, min(unknowns, 2 + random.poisson(4)), replace=False)
+        row[at] = np.round(random.uniform(-9, 9, len(at)) * 10.0 ** random.integers(-5, 4, len(at)), 6)
+    x = np.round(random.uniform(0, 100, unknowns), 1) * (random.random(unknowns) >= 0.6)
+    limit, equal = np.round(C @ x, 6), random.random(rows) < 0.6
+    cost = np.where(random.random(unknowns) < 0.3, 0.0, np.round(random.uniform(0, 10, unknowns), 1))
+    stiff = random.random(unknowns) < 0.1
+    energy = np.where(stiff, np.round(random.uniform(0.1, 10, unknowns), 2), 0.0) * (seed % 3 > 0)
+    unit, other = (10.0 ** random.uniform(-decades, decades, size) for size in (unknowns, rows))
+    C, lower = other[:, None] * C * unit, other * np.where(equal, limit, -np.inf)
+    given = dict(C=C, l=lower, u=other * limit, lb=np.zeros(unknowns))
+    return cq.ContactProblem.from_qp(np.diag(energy * unit**2), cost * unit, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 12, 16])
+def test_units_of_nine_decades_change_no_energy(seed: int) -> None:
+    """Each ended in NotConverged in one of these units: no set of contacts was found that balances its load."""
+    energies = []
+    for decades in (0.0, 2.25):
+        solution = cq.solve(wide(seed, 100, decades))
+        assert solution.certificate.passed
+        energies.append(solution.energy)
+    assert energies[0] == pytest.approx(energies[1], rel=1e-8)
+
+
+@pytest.mark.parametrize("decades", [0.0, 2.25])
+def test_a_tie_that_is_not_met_passes_in_no_units(decades: float) -> None:
+    """One tie was met to 3e-5 of its own lengths, which were nothing beside those of other rows: 1051 for 5785204."""
+    try:
+        energy = cq.solve(wide(0, 60, decades)).energy
+    except cq.NotCertified:
+        return
+    assert energy == pytest.approx(5785204.45, rel=1e-8)
+
+
+def strict(seed: int) -> tuple[StrictProgram, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A strictly convex program of integers with tied rows, of which one is a sum, and rows that repeat."""
+    random = np.random.default_rng(seed)
+    n = int(random.integers(3, 9))
+    root, f = random.integers(-3, 4, (n, n)), random.integers(-9, 10, n).astype(float)
+    rows = random.integers(-3, 4, (3 * n, n)).astype(float)
+    rows[-1], rows[1] = 2.0 * rows[-2], np.eye(n)[0]
+    rows = np.vstack([rows[:2], rows[0] + rows[1], rows[2:]])
+    limit, tied = rows @ random.integers(-2, 3, n) + 0.0, np.arange(len(rows)) < 3
+    limit += np.where(tied, 0.0, random.integers(0, 3, len(rows)))
+    H = root @ root.T + np.eye(n)
+    return StrictProgram(H, f, rows, limit, tied), H, f, rows, limit, tied
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_dual_active_set_in_factors_ends_at_the_minimum(seed: int) -> None:
+    """Forces balance, push, and act on rows that are met; whatever rows it starts with, the point is the same."""
+    program, H, f, rows, limit, tied = strict(seed)
+    x = program.solve(np.zeros(0, dtype=int), 1e-12, iter(range(1000)))
+    assert program.ended
+    assert not program.conflicting
+    assert np.all(rows @ x <= limit + 1e-10 * abs(rows) @ abs(x) + 1e-10)
+    assert rows[tied] @ x == pytest.approx(limit[tied], abs=1e-10)
+    assert rows[program.active] @ x == pytest.approx(limit[program.active], abs=1e-9)
+    assert rows[program.active].T @ program.force == pytest.approx(f - H @ x, abs=1e-9)
+    assert np.all(program.force[~tied[program.active]] >= -1e-12)
+    begun = strict(seed)[0]
+    start = np.flatnonzero(~tied)[::2]
+    assert begun.solve(start, 1e-12, iter(range(1000))) == pytest.approx(x, abs=1e-9)
+
+
+def test_rows_that_contradict_each_other_are_named() -> None:
+    """x <= 1 and -x <= -2 cannot both be met: the second is left as it is, and y goes to its minimum."""
+    rows, limit = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([1.0, -2.0])
+    program = StrictProgram(np.eye(2), np.array([5.0, 3.0]), rows, limit, np.zeros(2, dtype=bool))
+    x = program.solve(np.zeros(0, dtype=int), 1e-12, iter(range(100)))
+    assert program.ended
+    assert program.conflicting == {1}
+    assert x == pytest.approx([1.0, 3.0])
+
+
+@pytest.mark.slow
+def test_corrections_find_the_contacts_that_an_interior_point_does_not_tell() -> None:
+    """The contacts of its answer do not balance the load, and changes of all at once lead nowhere."""
+    problem, x = plan(3, 250, 140)
+    twin, scaling = equilibrated(problem)
+    found = find("clarabel").solve(twin, Settings(1e-9)).answer
+    gap = twin.gap - twin.normal @ found.displacement
+    start = ClosedState.of(twin, found.normal_force > gap, ExtendedAnswer.of(found))
+    assert not nearest_state(twin, start.closed, start.answer, Effort()).holds
+    state = by_corrections(start, Effort())
+    assert state.holds
+    energy = problem.energy(scaling.unscale(Candidate(state.answer.double())).displacement)
+    assert energy == pytest.approx(problem.energy(x), rel=1e-12)
