@@ -4,7 +4,7 @@ Examples are two walls that hold one node, or a tie along a floor on which a nod
 answer then form a polyhedron (in space between two polyhedra) of sums over cones of sticking or slipping contacts.
 Rates of the displacement are unique if they are the same for all combinations of open, stick and slip that can exert
 the resultant and continue to do so along the direction. These are found by linear programs for each group of contacts
-(`contactqp.analysis.friction_groups`).
+(`contactqp.analysis.shared_forces`).
 
 A maximal set of independent rows then has the rates of all, with error bounds, if the other rows are satisfied to twice
 double precision. This requires that all groups can exert their forces strictly inside their cones, and that all other
@@ -24,7 +24,6 @@ from scipy.sparse.csgraph import connected_components
 
 from contactqp.analysis.border_states import MOST_COMBINATIONS, Borders
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.friction_groups import NOTHING, Cones, Group
 from contactqp.analysis.rate_data import (
     REDUNDANT,
     SAME,
@@ -40,6 +39,7 @@ from contactqp.analysis.rate_data import (
     parts_from,
 )
 from contactqp.analysis.rate_systems import RateSystem
+from contactqp.analysis.shared_forces import NOTHING, Cones, Group
 from contactqp.linalg.nonnegative import CARRIES, DEPENDENT_ROWS, width_within
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status

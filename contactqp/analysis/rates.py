@@ -36,7 +36,6 @@ from contactqp.analysis.border_states import (
     sticking_at_bound,
 )  # fmt: skip
 from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
-from contactqp.analysis.friction_groups import Sharing
 from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
@@ -60,6 +59,7 @@ from contactqp.analysis.rate_data import (
     with_reaction,
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
+from contactqp.analysis.shared_forces import Sharing
 from contactqp.certificate import bounds
 from contactqp.certificate.uniqueness import unheld
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported

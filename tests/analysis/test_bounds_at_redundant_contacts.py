@@ -11,8 +11,8 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis import derivatives
-from contactqp.analysis.friction_groups import Sharing
 from contactqp.analysis.rate_systems import RateSystem
+from contactqp.analysis.shared_forces import Sharing
 
 UNIQUE = ("displacement", "gap", "reaction", "energy")
 

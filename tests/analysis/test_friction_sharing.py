@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_groups, rate_systems
+from contactqp.analysis import rate_systems, shared_forces
 from contactqp.analysis.rate_data import REDUNDANT
 
 K = np.array([[4.0, 1.0], [1.0, 3.0]])
@@ -116,7 +116,7 @@ def test_other_states_that_exert_the_same_force_are_not_overlooked(
 ) -> None:
     """Taken for steady, the floor that may let go would have the rates of one that sticks."""
     if blind:
-        monkeypatch.setattr(friction_groups.Group, "is_steady", lambda *_: True)
+        monkeypatch.setattr(shared_forces.Group, "is_steady", lambda *_: True)
     smooth = cq.solve(node([0.2, -3.0], FLOOR, FLOOR, friction=[0.3, 0.0]))
     assert (smooth.derivative("displacement", "load", [1.0, 0.0]).value is None) != blind
 
@@ -152,8 +152,8 @@ def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
 def test_slips_that_may_begin_in_space_are_not_overlooked(blind: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two floors the smooth one may take so much that the other lets go, in the direction of what pulls."""
     if blind:
-        monkeypatch.setattr(friction_groups.Group, "may_move", lambda *_: False)
-        monkeypatch.setattr(friction_groups.Group, "is_steady", lambda *_: True)
+        monkeypatch.setattr(shared_forces.Group, "may_move", lambda *_: False)
+        monkeypatch.setattr(shared_forces.Group, "is_steady", lambda *_: True)
     normal, tangent = IN_SPACE[0]
     floors = [normal] * 2, [0.0, 0.0], tangent * 2, [0.3, 0.0]
     smooth = cq.solve(cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), [0.2, 0.1, -3.0], *floors))

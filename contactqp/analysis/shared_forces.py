@@ -1,7 +1,7 @@
-"""Analyse cones of contact forces with friction, and groups of contacts with dependent rows.
+"""Analyse groups of contacts with dependent rows: their resultant is unique, its distribution to the contacts is not.
 
-The resultant of a group is unique, but not its distribution to contacts. Linear programs determine the combinations of
-open, stick and slip that can exert it, or continue to do so along a direction, and how far. `Sharing` treats groups
+With friction the forces are in cones, and linear programs determine the combinations of open, stick and slip that can
+exert the resultant, or continue to do so along a direction, and how far (`Cones`, `Group`). `Sharing` treats groups
 without friction.
 """
 
