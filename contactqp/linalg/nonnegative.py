@@ -337,8 +337,8 @@ def by_strict_programs(
 def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, float]:
     """Minimise |matrix x - right| over x >= 0 by the algorithm of Lawson and Hanson (1974); return x and this residual.
 
-    The residual is NaN, and x zero, where that takes too many steps. A matrix without columns is treated here, as it
-    crashes SciPy 1.17.
+    The residual is NaN, and x zero, where that takes too many steps, or SciPy before 1.15 meets a singular system. A
+    matrix without columns is treated here, as it crashes SciPy 1.17.
     """
     from scipy.optimize import nnls
 
@@ -347,7 +347,7 @@ def nonnegative_least_squares(matrix: Array, right: Vector) -> tuple[Vector, flo
         return none, float(np.linalg.norm(right))
     try:
         share, residual = nnls(matrix, right, maxiter=30 * matrix.shape[1])
-    except RuntimeError:  # too many steps
+    except (RuntimeError, np.linalg.LinAlgError):
         return none, np.nan
     return np.asarray(share), float(residual)
 

@@ -333,8 +333,8 @@ def test_forces_of_many_rows_that_share_unknowns_are_bounded(seed: int) -> None:
 
 def test_motions_of_many_rows_are_not_shorter_than_those_of_dense_systems() -> None:
     rng = np.random.default_rng(0)
-    rows = sp.csr_array(sp.random_array((60, 70), density=0.05, rng=rng) + sp.eye_array(60, 70))
-    root = sp.random_array((70, 70), density=0.1, rng=rng)
+    rows = sp.csr_array(rng.random((60, 70)) * (rng.random((60, 70)) < 0.05) + np.eye(60, 70))
+    root = sp.csr_array(rng.random((70, 70)) * (rng.random((70, 70)) < 0.1))
     stiffness, residual = sp.csr_array(root @ root.T), 10.0 ** rng.uniform(-6, 0, 70)
     motions = np.linalg.pinv(rows.toarray())
     energy = np.sum(motions * (stiffness @ motions), axis=0)

@@ -243,7 +243,7 @@ def _proven_to_fail(rows: Array, rest: Vector) -> bool:
 
     try:
         weight, _ = nnls(np.vstack([rows.T, rest]), np.append(np.zeros(rows.shape[1]), -1.0))
-    except RuntimeError:  # too many steps
+    except (RuntimeError, np.linalg.LinAlgError):  # too many steps, or SciPy before 1.15 met a singular system
         return False
     total = float(np.sum(weight))
     left = np.max(abs(rows.T @ weight), initial=0.0)

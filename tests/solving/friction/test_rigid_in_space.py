@@ -62,9 +62,7 @@ def test_answers_of_rigid_bodies_are_found_and_pass(seed: int) -> None:
     if force.any():
         wrong = force * np.where(np.arange(len(force)) == np.argmax(force), 1.001, 1.0)
         assert not cq.certify(problem, u, wrong, drag).passed
-        assert not cq.certify(
-            problem, u + 1e-6 * problem.normal[np.argmax(force)].toarray().ravel(), force, drag
-        ).passed
+        assert not cq.certify(problem, u + 1e-6 * problem.normal.toarray()[np.argmax(force)], force, drag).passed
 
 
 @pytest.mark.parametrize("seed", [66, pytest.param(368, marks=pytest.mark.slow)])
