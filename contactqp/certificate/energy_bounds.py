@@ -17,10 +17,11 @@ R is REACH times the size of the answer, or the room that contacts and ties of u
 r_j; the residuals of extended precision are so small that w is still far below any tolerance. An answer u is at most |u
 - U|_K + sqrt(8 w) away from u* in the energy norm; and
 
-    J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w up to penetration and residuals of ties, by which an answer is judged
-    if K does not determine the displacement, as in a linear program. Forces are compared with L, by |l - L|_W over
-    |L|_W, W = E K^-1 E', where K is regular; elsewhere with L and N, all in equilibrated units. With dependent rows,
-    these are the nearest of many.
+    J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w
+
+up to penetration and residuals of ties, by which an answer is judged if K does not determine the displacement, as in a
+linear program. Forces are compared with L, by |l - L|_W over |L|_W, W = E K^-1 E', where K is regular; elsewhere with L
+and N, all in equilibrated units. With dependent rows, these are the nearest of many.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ Every rank has the rows of K of its own nodes and the contacts of these nodes; n
 take and return the part of their rank, unless stated otherwise. Functions that all ranks must call together are marked
 "collective". Shapes with the index "here" (n_here, m_here, k_here) count unknowns, contacts and ties of one rank.
 
-solving the public functions, and the choice of the method
-problem the part of the problem and of its solution on one rank; distributing makes it from a whole problem iteration
-the active set by iteration, with preconditioner, smoothed_aggregation and floating (rigid motions) bounded PETSc's own
-solvers of problems with bounds, for comparison
+solving           the public functions, and the choice of the method
+problem           the part of the problem and of its solution on one rank; distributing makes it from a whole problem
+iteration         the active set by iteration, with preconditioner, smoothed_aggregation and floating (rigid motions)
+bounded           PETSc's own solvers of problems with bounds, for comparison
 certificate       the verdict on a distributed answer, from violations
 partition_mesh    shares of the elements of shapes and files, the cut of their graph, the elements of one rank as a mesh
 mesh_nodes        owners and numbers of nodes, the distributed stiffness, the surfaces that may touch

@@ -1,6 +1,6 @@
 """Frictional contact in the local form of FCLIB, in which velocities and forces of the contacts are the only unknowns.
 
-    u = W r + q + V l, V'r + R l + s = 0 the bodies, eliminated
+    u = W r + q + V l,    V'r + R l + s = 0        the bodies, eliminated
     r_N >= 0,  u_N >= 0,  r_N u_N = 0              Signorini
     |r_T| <= mu r_N,  r_T = -mu r_N u_T/|u_T| where u_T does not vanish        Coulomb
 

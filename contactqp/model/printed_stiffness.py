@@ -414,10 +414,9 @@ class _LeastChange:
         )
 
     def change(self, forces: Array, nothing: Array, damped: float) -> tuple[Any, Array]:
-        """Return the least d and corrections x (p, turns) with d Z + K x = forces (p, r), up to the errors `nothing`
-        (p, r).
+        """Return the least d and corrections x (p, turns) with d Z + K x = forces, up to errors `nothing` (p, r).
 
-                LSQR is damped, so that components that roundings of the entries hardly change are left out.
+        LSQR is damped, so that components that roundings of the entries hardly change are left out.
         """
         from scipy.sparse.linalg import LinearOperator, lsqr
 

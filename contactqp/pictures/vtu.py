@@ -1,6 +1,6 @@
 """Solutions for ParaView: one VTU file of all bodies or members, with fields at the nodes.
 
-    displacement 3 components [length]; 0 along axes that the problem does not have
+    displacement            3 components [length]; 0 along axes that the problem does not have
     stress                  xx, yy, zz, xy, yz, zx, tension positive [force / length^2] (elastic bodies)
     von_mises               [force / length^2] (elastic bodies)
     contact_force           3 components: what contact does to the body at the node [force]; 0 away from contact

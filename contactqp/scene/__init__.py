@@ -37,7 +37,7 @@ With friction the answer depends on the path of the loads, from corner to corner
 
     [path]
     events = "exact"
-    corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }] # factors of the loads, 0 by default
+    corners = [{ weight = 1 }, { weight = 1, push = 1 }, { weight = 1 }]   # factors of the loads, 0 by default
 
     [[expect]]
     quantity = "friction force"
@@ -61,7 +61,7 @@ A scene with a motion moves in time, under constant loads::
     [[expect]]
     quantity = "velocity"
     at = "b.x"
-    time = "0.5 ms" # a time with its unit: the end of the last step before it
+    time = "0.5 ms"                         # a time with its unit: the end of the last step before it
     value = "3 m/s"
     derivation = "nothing touches it yet"
 

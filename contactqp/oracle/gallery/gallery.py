@@ -9,8 +9,8 @@ required by qpbenchmark's CONTRIBUTING.md, together with exact answers:
     contact_problems.py    the class ContactProblems: `qpbenchmark contact_problems.py run`
     data/NAME.npz          one problem, as `qpsolvers.Problem.save` writes it
     answers/NAME.json      its exact answer in qpsolvers' names and signs: x, y, z, and the cost
-    results/ the folder of qpbenchmark's report
-    README.md a description of the problems
+    results/               the folder of qpbenchmark's report
+    README.md              a description of the problems
 
 With G = E_N, h = g, A, b of the ties, z is l_N and y is nu, with the same signs. Problems with Coulomb friction are no
 quadratic programs and are left out.

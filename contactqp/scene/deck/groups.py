@@ -209,13 +209,12 @@ class Topology:
             raise InvalidProblem(f"{place}: there is no element {missing[0]}")
 
     def facets(self, faces: Faces, place: str) -> list[tuple[Group, int, Index, Index]]:
-        """Return faces of solid elements by group and kind: (group, facet number, elements of the group, entries of
-        `faces`).
+        """Return the faces of solid elements: group, number of the facet, elements of the group, entries of `faces`.
 
-                Raises
-                ------
-                InvalidProblem
-                    An element does not exist, is no solid, or lacks this face.
+        Raises
+        ------
+        InvalidProblem
+            An element does not exist, is no solid, or lacks this face.
         """
         self.check_elements(faces.elements, place)
         found = []
