@@ -201,6 +201,7 @@ def test_findings_are_equal_by_what_they_say() -> None:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_can_be_planted(fault: str) -> None:
+    """What it replaces is there: `patch` raises AttributeError where a name has gone."""
     with FAULTS[fault]():
         pass
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 import contactqp as cq
 from contactqp.certificate.local_certificate import MeasuredForces
 from contactqp.linalg.measures import lengths
-from contactqp.solving.friction.alart_curnier import drawn_combinations
-from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.solving.friction.problems import walls_that_conflict
 
 ALGORITHMS = ("newton", "nsgs", "ppa", "admm", "combinations", "aclm", "tresca")
@@ -500,25 +498,3 @@ def test_joints_that_open_contacts_are_no_proof_of_absence() -> None:
         bilateral=[[1.0], [0.0], [0.0]], bilateral_delassus=[[0.0]], bilateral_offset=[0.0],
     )  # fmt: skip
     assert cq.solve(jointed).certificate.passed
-
-
-@pytest.mark.slow
-def test_drawn_combinations_pass_over_bodies_that_have_gone_far_away() -> None:
-    """A motion that contacts hardly resist takes a body thousands of lengths away, where no digit of a gap is left."""
-    rng = np.random.default_rng(2)
-    motions = rng.normal(size=(9, 2))
-    motions[:, 1] = motions[:, 0] + 1e-6 * rng.normal(size=9)
-    force = np.abs(rng.normal(size=(3, 3))) * [1.0, 0.5, 0.5]
-    form = LocalForm(
-        cq.LocalProblem(
-            delassus=np.eye(9),
-            offset=-force.ravel(),
-            friction=3.0,
-            dimension=3,
-            bilateral=motions,
-            bilateral_offset=-motions.T @ force.ravel(),
-        )
-    )
-    found = list(drawn_combinations(form, Iterate.nothing(form)))
-    assert len(found) > 10
-    assert max(np.max(abs(one.joint_force)) for one in found) <= 1e3

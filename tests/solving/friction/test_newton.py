@@ -8,7 +8,9 @@ import pytest
 import contactqp as cq
 from contactqp.linalg.condensation import condense
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.solving.friction.alart_curnier import drawn_combinations
 from contactqp.solving.friction.force_system import ForceSystem
+from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.solving.friction.problems import one_contact, pad, random_problem, rough_truss, two_masses
 
 
@@ -115,3 +117,25 @@ def test_a_spoiled_update_is_seen_and_factorised_anew(system_of_nine: tuple[Forc
     again = system.solve(status, lengths)
     assert system.factorisations == 2
     np.testing.assert_allclose(again.normal, right.normal, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_drawn_combinations_pass_over_bodies_that_have_gone_far_away() -> None:
+    """A motion that contacts hardly resist takes a body thousands of lengths away, where no digit of a gap is left."""
+    rng = np.random.default_rng(2)
+    motions = rng.normal(size=(9, 2))
+    motions[:, 1] = motions[:, 0] + 1e-6 * rng.normal(size=9)
+    force = np.abs(rng.normal(size=(3, 3))) * [1.0, 0.5, 0.5]
+    form = LocalForm(
+        cq.LocalProblem(
+            delassus=np.eye(9),
+            offset=-force.ravel(),
+            friction=3.0,
+            dimension=3,
+            bilateral=motions,
+            bilateral_offset=-motions.T @ force.ravel(),
+        )
+    )
+    found = list(drawn_combinations(form, Iterate.nothing(form)))
+    assert len(found) > 10
+    assert max(np.max(abs(one.joint_force)) for one in found) <= 1e3
