@@ -26,8 +26,9 @@ and N, all in equilibrated units. With dependent rows, these are the nearest of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -56,14 +57,7 @@ from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.schur import with_pivots
-from contactqp.linalg.sparse_saddle import (
-    MET_TOGETHER,
-    REGULARISATIONS,
-    ClosedState,
-    Effort,
-    SparseSaddle,
-    kept_saddle,
-)
+from contactqp.linalg.sparse_saddle import MET_TOGETHER, REGULARISATIONS, ClosedState, Effort, SparseSaddle, kept_saddle
 from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
@@ -445,27 +439,33 @@ def unique_on(state: ClosedState) -> Unique:
 
     The response of the regularised saddle point to a force on a free motion, or to contradicting gaps of dependent
     rows, is 1/d times these, which random forces and gaps include. Soft bodies and nearly dependent rows, such as
-    differences of thousands of unknowns, may respond as strongly, but less with a smaller d.
+    differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d tells.
     """
-    unique = Unique(*_answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state))
+    unique = _answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state)
     if unique.displacement and unique.forces:
         return unique
     try:
-        nearer = SparseSaddle(state.problem, np.flatnonzero(state.closed), NEARER)
+        nearer = _answered(SparseSaddle(state.problem, np.flatnonzero(state.closed), NEARER), state, 1)
     except BackendFailed:
         return unique
-    displacement, forces = _answered(nearer, state)
-    return Unique(unique.displacement or displacement, unique.forces or forces)
+    return Unique(unique.displacement or nearer.displacement, unique.forces or nearer.forces)
 
 
-def _answered(saddle: SparseSaddle, state: ClosedState) -> tuple[bool, bool]:
-    """Return whether the responses to random forces and gaps are below those of free motions and dependent rows."""
+def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = None) -> Unique:
+    """Return whether random forces and gaps respond less than free motions and dependent rows, or sweeps meet them.
+
+    Refinement takes away neither forces along free motions nor contradictions of dependent rows.
+    """
     random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
     sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
     force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
-    moved = saddle.solve(force, gap * 0.0, tie * 0.0)[0]
-    pushed = np.concatenate(saddle.solve(force * 0.0, gap, tie)[1:])
-    return bool(abs(moved).max(initial=0.0) < most), bool(abs(pushed).max(initial=0.0) < most)
+    moved = ((u, left) for u, *_, left in saddle.refined(force, gap * 0.0, tie * 0.0))
+    pushed = ((np.concatenate(found), left) for _, *found, left in saddle.refined(force * 0.0, gap, tie))
+
+    def met(responses: Iterator[tuple[Vector, float]]) -> bool:
+        return any(np.all(abs(x) < most) or left < ALMOST_FREE for x, left in islice(responses, sweeps))
+
+    return Unique(met(moved), met(pushed))
 
 
 def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:

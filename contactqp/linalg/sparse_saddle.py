@@ -13,8 +13,9 @@ positive multipliers of an interior point stay positive and no basis has to be c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import scipy.sparse as sp
@@ -44,15 +45,13 @@ FINE, WORTH_ANOTHER = 1e-22, 0.1
 GROWS = 4.0
 # Parts of K of which one is small beside rows that nearly depend on each other, and how often they are tried in vain.
 SMALL_STIFFNESS, MOST_IN_VAIN = (1e-4, 1e-8, 1e-12), 3
-# Closed contacts and ties that are met to this part of the largest length do not contradict each other: it is far
-# beyond all rounding of doubles.
+# Closed contacts and ties that are met to this part of the largest length do not contradict each other.
 MET_TOGETHER = 1e-20
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
 SWEEPS, CONTRACTS = 20, 0.3
 # After one that leaves more than this part none follows; two in turn end them where they leave more than CONTRACTS.
 CREEPS = 0.5
-# Corrections in double precision before residuals are formed in extended precision: with the first solution they come
-# near to what the rounding of doubles leaves.
+# Corrections in doubles before residuals in extended precision: they come near to what rounding of doubles leaves.
 CORRECTIONS = 2
 # Residuals above this part of the forces and lengths that meet have half of their digits in doubles: as many as a
 # correction needs that is refined in doubles.
@@ -78,8 +77,7 @@ NEARLY_BALANCED = 1e-7
 WASTED, WASTED_AT_FIRST, FEW_WRONG = 25, 6, 10
 # The most factorisations for the answer of one backend before another one is run.
 SYSTEMS_AT_FIRST = 150
-# Contacts that close one after another along a motion that nothing resists, at most, and the part of the fastest
-# approach that is none.
+# Contacts that close one by one along a motion that nothing resists, and the part of the fastest approach that is none.
 BLOCKING, STANDS_STILL = 50, 1e-9
 
 
@@ -159,22 +157,24 @@ class SparseSaddle:
         return u, carried[: self._contacts], carried[self._contacts :]
 
     def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
-        """Return corrections of u, l and nu for residuals, refined in double precision, and the back-substitutions.
+        """Return corrections of u, l and nu for residuals, refined in double precision, and the back-substitutions."""
+        *_, (solved, found) = enumerate(islice(self.refined(force, gap, tie), 1 + CORRECTIONS), 1)
+        return *found[:-1], solved
+
+    def refined(self, force: Vector, gap: Vector, tie: Vector) -> Iterator[tuple[Vector, Vector, Vector, float]]:
+        """Yield u, l and nu, and with each the residual that it meets, as long as these contract in doubles.
 
         Residuals in doubles cost a small part of those in extended precision and are as good for the first digits.
         """
-        found = self.solve(force, gap, tie)
         lengths = np.concatenate([gap, tie])
-        last = max(float(abs(part).max(initial=0.0)) for part in (force, lengths))
-        for corrections in range(CORRECTIONS):
-            carried = np.concatenate(found[1:])
-            left, open_rows = force - self._K @ found[0] - self._rows.T @ carried, lengths - self._rows @ found[0]
-            size = max(float(abs(part).max(initial=0.0)) for part in (left, open_rows))
-            if not size < CONTRACTS * last:
-                return *found, 1 + corrections
-            du, dl, dn = self.solve(left, open_rows[: self._contacts], open_rows[self._contacts :])
-            found, last = (found[0] + du, found[1] + dl, found[2] + dn), size
-        return *found, 1 + CORRECTIONS
+        left, u, carried, size, last = (force, lengths), np.zeros(len(force)), np.zeros(len(lengths)), 0.0, np.inf
+        while size < CONTRACTS * last:
+            last = max(float(abs(part).max(initial=0.0)) for part in left)
+            du, dl, dn = self.solve(left[0], *np.split(left[1], [self._contacts]))
+            u, carried = u + du, carried + np.concatenate([dl, dn])
+            yield u, carried[: self._contacts], carried[self._contacts :], last
+            left = force - self._K @ u - self._rows.T @ carried, lengths - self._rows @ u
+            size = max(float(abs(part).max(initial=0.0)) for part in left)
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 
@@ -23,9 +24,11 @@ from contactqp.certificate.energy_bounds import (
     diagonal_dominance,
     energy_bounds,
     reach,
+    unique_on,
 )
+from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
-from contactqp.linalg.sparse_saddle import ClosedState
+from contactqp.linalg.sparse_saddle import ClosedState, SparseSaddle
 from contactqp.model.solution import Answer
 
 
@@ -439,6 +442,30 @@ def test_a_force_where_there_are_none_is_refused() -> None:
     force = solution.normal_force.copy()
     force[[0, -1]] += 1e-8
     assert not cq.certify(problem, solution.displacement, force, tie_force=solution.tie_force).passed
+
+
+@pytest.mark.parametrize(("ends", "unique"), [(2.0, True), (1.0, False)])
+def test_a_soft_chain_is_told_from_a_free_one_by_refinement(
+    monkeypatch: pytest.MonkeyPatch, ends: float, unique: bool
+) -> None:
+    """A membrane's third factors, of a saddle point with a smaller diagonal, took the memory of a linear solve."""
+    n, nearer = 600, []
+    K = sp.diags_array([-np.ones(n - 1), np.r_[ends, np.full(n - 2, 2.0), ends], -np.ones(n - 1)], offsets=[-1, 0, 1])
+    problem = equilibrated(cq.ContactProblem(K, np.zeros(n), np.eye(1, n), [1.0]))[0]
+    monkeypatch.setattr("contactqp.certificate.energy_bounds.SparseSaddle", nearer_saddle(nearer))
+    state = ClosedState.of(problem, np.zeros(1, dtype=bool), ExtendedAnswer.at_rest(problem))
+    assert unique_on(state).displacement is unique
+    assert len(nearer) == 1 - unique
+
+
+def nearer_saddle(made: list[float]) -> Callable[..., SparseSaddle]:
+    """Saddle points that are listed as they are made."""
+
+    def counted(problem: cq.ContactProblem, closed: np.ndarray, regularisation: float) -> SparseSaddle:
+        made.append(regularisation)
+        return SparseSaddle(problem, closed, regularisation)
+
+    return counted
 
 
 @pytest.mark.slow
