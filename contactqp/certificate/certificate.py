@@ -21,7 +21,7 @@ from contactqp.certificate.bounds import (
     fails_force_bound,
     no_bounds,
 )
-from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual
+from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual, sticks_on_supports
 from contactqp.certificate.critical_friction import condensed_to_prove
 from contactqp.certificate.energy_bounds import bounds_by_energy, energy_bounds
 from contactqp.certificate.figures import kept_residuals, violations
@@ -36,10 +36,10 @@ from contactqp.certificate.uniqueness import Uniqueness, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import RigidMotions
-from contactqp.linalg.extended import Residuals, residuals
+from contactqp.linalg.extended import Residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
-from contactqp.linalg.measures import lengths, own_compliance, ratio
+from contactqp.linalg.measures import own_compliance, ratio
 from contactqp.linalg.pardiso import CHOICE
 from contactqp.model.arrays import (
     CERTIFY,
@@ -54,7 +54,7 @@ from contactqp.model.arrays import (
     stage,
 )
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import read_shaped, refuse_not_positive
+from contactqp.model.problem_data import read_answer, refuse_not_positive
 from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Violations
 
 # Forces and lengths below this part of tolerance times intrinsic size count as zero, as solvers leave that much of
@@ -70,6 +70,7 @@ HOLDS = 1e-10
 NOTHING = 1e-13
 # Changes of the forces below this relative size are not mentioned in the notes.
 WORTH_SAYING = 1e-9
+NONE = np.zeros(0, dtype=int)
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
 SAYS_LESS = "friction: what could be proven is more than the distance to the answer of its own states"
@@ -128,7 +129,7 @@ def compute_certificate(
     refuse_not_positive("error_tolerance", error_tolerance)
     if type(problem) is not ContactProblem:
         refuse_other("certify", problem, ContactProblem)
-    answer = _answer(problem, displacement, normal_force, friction_force, tie_force)
+    answer = Answer(**read_answer(problem, displacement, normal_force, friction_force, tie_force))
     return certificate_of(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
 
 
@@ -173,6 +174,7 @@ class _Measured:
     found: Violations  # every figure, entry by entry
     balance: float  # the work of the residual on rigid motions, relative to that of the forces
     law: Vector | None  # (m,) the residual of Coulomb's law at each contact; None without friction
+    supported: Indices  # contacts that stick where a support carries their friction
     bounds: Bounds
     errors: tuple[str, ...]  # one message for each bound on the whole answer that exceeds its tolerance
     fails_force_bound: bool  # whether the bound on the force of a contact is beyond the tolerance
@@ -192,27 +194,36 @@ def _judged(
 ) -> Certificate:
     """Return the certificate of a finite answer, measured in units in which the problem's numbers are near one."""
     near = None if problem.is_near_one else near_one(problem)
-    seen = answer if near is None else near.answer(answer)
-    if absurd := tuple(_absurd_parts(seen)):
-        failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
-        return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance, messages.ABSURD_ANSWER)
-    if near is None:
-        measured = _measured(problem, seen, tolerance, error_tolerance, factorization, prove_friction)
-    else:
-        measured = _measured(near.problem, seen, tolerance, error_tolerance, None, prove_friction)
+    scaled, seen = (problem, answer) if near is None else (near.problem, near.answer(answer))
+    with scaled.lock:
+        if absurd := tuple(_absurd_parts(seen)):
+            failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
+            return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance, messages.ABSURD_ANSWER)
+        measured = _measured(scaled, seen, tolerance, error_tolerance, None if near else factorization, prove_friction)
+    if near is not None:
         found = replace(near.violations(measured.found), gap=problem.gap - problem.normal @ answer.displacement)
         measured = replace(measured, found=found, bounds=near.bounds(measured.bounds))
     return _worded(problem, answer, measured, tolerance, error_tolerance)
 
 
 def _absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
-    """Yield the name of each array of an answer with an absurdly large entry, and the index of that entry.
-
-    The answer is given in units in which the numbers of its problem are near one.
-    """
+    """Yield the arrays of an answer in units near one that have an absurdly large entry, by name, with its index."""
     for name, values in vars(answer).items():
         if values is not None and values.size and not abs(values).max() <= ABSURD:
             yield name, int(np.unravel_index(np.argmax(abs(values)), values.shape)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """The residual of an answer, its bounds without friction, and the systems from which they were computed."""
+
+    systems: Systems
+    residual: Residuals
+    bounds: Bounds
+    rigid: RigidMotions
+    condensation: Condensation | None = None  # one that retains all contacts
+    no_proof: str = NOT_CONDENSED  # with friction: why there is no condensation to prove bounds with
+    state: StateVerdict | None = None  # with friction and many contacts: found among those that can close
 
 
 def _measured(
@@ -224,55 +235,32 @@ def _measured(
     prove_friction: bool,
 ) -> _Measured:
     """Compute figures and bounds of an answer; with friction, compare it with the exact answer of the same states."""
-    with problem.lock:
-        others, state, allowed = Uniqueness(), None, (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
-        at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
-        systems = Systems.CONDENSED if at_once else systems_of(problem)
-        candidates, reason = None, FRICTION_HAS_NONE
-        if systems is Systems.SUBSET and prove_friction and problem.frictional:
-            factorization, reason = condensed_to_prove(problem)
-        if systems is Systems.SUBSET and factorization is None:
-            candidates = believed_candidates(problem, answer)
-        if candidates is not None and problem.frictional:
-            residual, bounds, condensation = residuals(problem, answer), no_bounds(reason), None
-            state, rigid = state_among(problem, answer, candidates, allowed)
-        else:
-            residual, bounds, rigid, condensation = _residuals_and_bounds(
-                problem, answer, systems, factorization, candidates
-            )
-        found = violations(problem, answer, residual, ROUNDING_OF_ANSWERS * tolerance, rigid)
-        out_of_balance, law = balance(problem, answer, rigid, found.nothing.force) if rigid.count else 0.0, None
-        if problem.frictional:
-            law, reason = coulomb_residual(problem, answer, found), NOT_CONDENSED
-            if sparse := prove_friction and systems is Systems.SPARSE:
-                condensation, reason = condensed_to_prove(problem)
-            others = uniqueness(problem, answer, found, condensation, tolerance)
-            if state is None:
-                state = state_verdict(problem, answer, found, None if sparse else condensation, allowed)
-                remember_verdict(problem, answer, allowed, state)
-            if prove_friction and condensation is not None and state.compared is not None:
-                bounds = frictional_bounds(problem, condensation, answer, state.compared)
-            elif prove_friction and candidates is None:
-                bounds = no_bounds(reason if condensation is None else NOT_COMPARED)
-            bounds = bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
-        state = state or StateVerdict(bounds.basis)
+    allowed = (error_tolerance, ROUNDING_OF_ANSWERS * tolerance)
+    basis = _basis(problem, answer, factorization, prove_friction, allowed)
+    bounds, rigid, condensation = basis.bounds, basis.rigid, basis.condensation
+    found = violations(problem, answer, basis.residual, allowed[1], rigid)
+    out_of_balance = balance(problem, answer, rigid, found.nothing.force) if rigid.count else 0.0
+    if not problem.frictional:
+        law, supported, others, state = None, NONE, Uniqueness(), StateVerdict(bounds.basis)
+    else:
+        judged = _with_friction(problem, answer, found, basis, tolerance, allowed, prove_friction)
+        law, supported, others, state, bounds = judged
     dependent = _dependent_ties(problem, condensation, bounds) if problem.ties > 1 else ()
-    nothing = ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size
-    if off := fails_force_bound(bounds, error_tolerance, 0.0):
-        pushed = float((problem.own_scale * problem.load_size).max(initial=0.0))  # S may be a gap crossed rigidly
-        smooth = pushed > 0 and not problem.frictional
-        off = fails_force_bound(bounds, error_tolerance, min(nothing, error_tolerance * pushed) if smooth else nothing)
+    nothing = allowed[1] * found.intrinsic_size
     strained = max(found.intrinsic_size, state.energy)
-    moved_too_far = rigid.count and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
-    if problem.frictional and (any(failed_errors(bounds, error_tolerance, nothing)) or off):
+    hidden = bool(rigid.count) and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
+    if off := fails_force_bound(bounds, error_tolerance, 0.0):
+        off = fails_force_bound(bounds, error_tolerance, _no_force(problem, error_tolerance, nothing))
+    if problem.frictional and (off or any(failed_errors(bounds, error_tolerance, nothing))):
         bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     return _Measured(
         found=found,
         balance=out_of_balance,
         law=law,
+        supported=supported,
         bounds=bounds,
         errors=(
-            *((messages.of_hidden_strain(problem, answer.displacement),) if moved_too_far else ()),
+            *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
             *failed_errors(bounds, error_tolerance, nothing),
             *failed_energy(bounds, tolerance, nothing * nothing),
             *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),
@@ -283,6 +271,38 @@ def _measured(
         others=others,
         state=state,
     )
+
+
+def _with_friction(
+    problem: ContactProblem,
+    answer: Answer,
+    found: Violations,
+    basis: _Basis,
+    tolerance: float,
+    allowed: tuple[float, float],
+    prove: bool,
+) -> tuple[Vector | None, Indices, Uniqueness, StateVerdict, Bounds]:
+    """Return the fields `law`, `supported`, `others` and `state` of `_Measured`, and the bounds with friction."""
+    law = coulomb_residual(problem, answer, found)
+    supported = sticks_on_supports(problem, answer)
+    others = uniqueness(problem, answer, found, basis.condensation, tolerance)
+    state = basis.state
+    if state is None:
+        condensation = None if basis.systems is Systems.SPARSE else basis.condensation
+        state = state_verdict(problem, answer, found, condensation, allowed)
+        remember_verdict(problem, answer, allowed, state)
+    bounds = basis.bounds
+    if prove and basis.condensation is not None and state.compared is not None:
+        bounds = frictional_bounds(problem, basis.condensation, answer, state.compared)
+    elif prove and basis.state is None:
+        bounds = no_bounds(basis.no_proof if basis.condensation is None else NOT_COMPARED)
+    return law, supported, others, state, bounds if bounds.proven else replace(bounds, energy_scale=state.energy)
+
+
+def _no_force(problem: ContactProblem, error_tolerance: float, nothing: float) -> float:
+    """Return the size below which a bound on a force counts as nothing; S may be that of a gap crossed rigidly."""
+    pushed = 0.0 if problem.frictional else float((problem.own_scale * problem.load_size).max(initial=0.0))
+    return min(nothing, error_tolerance * pushed) if pushed > 0 else nothing
 
 
 def _dependent_ties(
@@ -311,8 +331,9 @@ def _worded(
         worst = int(np.argmax(bounds.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, bounds, worst, error_tolerance))
     failures += measured.state.failures
-    notes = (*_hidden_gaps(problem, answer, found), *_friction_on_supports(problem, answer))
-    notes += _notes(problem, measured.grazing, bounds)
+    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, bounds))
+    if measured.supported.size:
+        notes += messages.of_friction_on_supports(problem, measured.supported)
     if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
     return Certificate(
@@ -353,17 +374,6 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
         yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
 
 
-def _friction_on_supports(problem: ContactProblem, answer: Answer) -> Iterator[str]:
-    """Yield a note where contacts stick along a tangential row of zeros: supports carry that friction force."""
-    if answer.friction_force is None or problem.friction is None or problem.tangent is None or not problem.contacts:
-        return
-    supported = np.diff(problem.tangent.indptr).reshape(problem.contacts, -1) == 0
-    if supported.any():
-        limit = problem.friction * np.maximum(answer.normal_force, 0.0)
-        sticking = supported.any(axis=1) & (lengths(answer.friction_force) < limit)
-        yield from messages.of_friction_on_supports(problem, np.flatnonzero(sticking))
-
-
 def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate: they explain and do not change the verdict."""
     notes: list[str] = []
@@ -389,36 +399,42 @@ def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str,
     return (*notes, *messages.of_estimates(bounds)) if bounds.estimated or bounds.free else tuple(notes)
 
 
-def _residuals_and_bounds(
+def _basis(
     problem: ContactProblem,
     answer: Answer,
-    systems: Systems,
     factorization: Condensation | None,
-    candidates: Indices | None,
-) -> tuple[Residuals, Bounds, RigidMotions, Condensation | None]:
-    """Return residuals, bounds, the rigid motions of the bodies and their condensation.
-
-    The condensation is None unless it retains all contacts.
-    """
+    prove_friction: bool,
+    allowed: tuple[float, float],
+) -> _Basis:
+    """Choose the systems by which an answer is judged, and compute its residual and its bounds without friction."""
+    at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
+    systems = Systems.CONDENSED if at_once else systems_of(problem)
+    proves = prove_friction and problem.frictional
     if systems is Systems.ITERATED:
         residual, by_products = plain_residuals(problem, answer), not problem.frictional
         bounds = iterated_bounds(problem, answer, iteration(problem)) if by_products else no_bounds(FRICTION_HAS_NONE)
-        return residual, bounds, iteration(problem).rigid, None
+        return _Basis(systems, residual, bounds, iteration(problem).rigid)
+    no_proof = FRICTION_HAS_NONE
+    if proves and systems in (Systems.SUBSET, Systems.SPARSE):
+        factorization, no_proof = condensed_to_prove(problem)
     residual = kept_residuals(problem, answer)
     if systems is Systems.SPARSE:
         bounds = no_bounds(FRICTION_HAS_NONE) if problem.frictional else energy_bounds(problem, answer)
-        return residual, bounds, RigidMotions(np.zeros((problem.dimension, 0))), None
+        rigid = RigidMotions(np.zeros((problem.dimension, 0)))
+        return _Basis(systems, residual, bounds, rigid, factorization, no_proof)
+    candidates = believed_candidates(problem, answer) if systems is Systems.SUBSET and factorization is None else None
+    if candidates is not None and problem.frictional:
+        state, rigid = state_among(problem, answer, candidates, allowed)
+        return _Basis(systems, residual, no_bounds(no_proof), rigid, state=state)
     if candidates is not None:
-        return residual, *bounds_among(problem, answer, residual, candidates), None
-    if factorization is not None:
-        condensation = _matching(problem, factorization)
-    else:
-        condensation = problem._computed.condensation or condense(problem)
+        return _Basis(systems, residual, *bounds_among(problem, answer, residual, candidates))
+    known = problem._computed.condensation if factorization is None else _matching(problem, factorization)
+    condensation = known or condense(problem)
     bounds = error_bounds(problem, answer, residual, condensation)
     far = FAR if condensation.rigid.count else np.finfo(float).max
     if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
         bounds = bounds_by_energy(problem, answer, bounds, condensation.rigid)
-    return residual, bounds, condensation.rigid, condensation
+    return _Basis(systems, residual, bounds, condensation.rigid, condensation)
 
 
 def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, tolerance: float) -> Mask:
@@ -446,22 +462,6 @@ def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, t
     if bounds.energy_scale > 0:
         vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * bounds.energy_scale
     return np.asarray(vanish)
-
-
-def _answer(problem: ContactProblem, u: Any, force: Any, friction: Any, tie: Any) -> Answer:
-    n, m, k = problem.dimension, problem.contacts, problem.ties
-    if tie is None and k:
-        raise InvalidProblem(f"tie_force: the problem has {k} ties; expected their forces, shape ({k},), got None")
-    shaped = {"displacement": (u, (n,)), "normal_force": (force, (m,))}
-    shaped["tie_force"] = (np.zeros(0) if tie is None else tie, (k,))
-    if problem.slip_origin is not None:
-        if friction is None and problem.frictional:
-            raise InvalidProblem("friction_force: the problem has friction; expected one force a contact, got None")
-        shape = problem.slip_origin.shape
-        shaped["friction_force"] = (np.zeros(shape) if friction is None else friction, shape)
-    elif friction is not None and np.size(friction):
-        raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
-    return Answer(**({"friction_force": None} | read_shaped(shaped)))
 
 
 def _matching(problem: ContactProblem, factorization: Condensation) -> Condensation:

@@ -450,3 +450,14 @@ def distance_from_law(force: Array, velocity: Array, friction: Vector) -> Vector
     sticking[:, 0] = velocity[:, 0]
     missed, missed_sticking = (lengths(natural_map(force, each, friction)) for each in (velocity, sticking))
     return np.minimum(missed, missed_sticking + lengths(velocity[:, 1:]))
+
+
+def sticks_on_supports(problem: ContactProblem, answer: Answer) -> Indices:
+    """Return the contacts that stick along a tangential row of zeros, whose friction force supports carry."""
+    if answer.friction_force is None or problem.tangent is None or problem.friction is None:
+        return np.zeros(0, dtype=int)
+    supported = (np.diff(problem.tangent.indptr).reshape(problem.contacts, -1) == 0).any(axis=1)
+    if supported.any():
+        limit = problem.friction * np.maximum(answer.normal_force, 0.0)
+        supported &= lengths(answer.friction_force) < limit
+    return np.flatnonzero(supported)

@@ -400,7 +400,7 @@ def answer_in(
 ) -> Answer:
     """Return the answer of one combination, refined from a start; undetermined components are those of the start.
 
-    Its signs are checked by `contactqp.certificate.figures.holds`.
+    Its signs are checked by `contactqp.certificate.certificate.holds`.
 
     Parameters
     ----------

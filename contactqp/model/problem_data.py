@@ -113,6 +113,31 @@ def read_shaped(values: Mapping[str, tuple[Any, tuple[int, ...]]]) -> dict[str, 
     return {name: array.reshape(shape) for name, (array, shape) in arrays.items()}
 
 
+def read_answer(problem: Any, u: Any, force: Any, friction: Any, tie: Any) -> dict[str, Any]:
+    """Return the arrays of an answer by name; raise InvalidProblem where one is missing or does not fit the problem.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    u : (n,) array-like, the displacement [length]
+    force, tie : (m,) and (k,) array-like, the normal forces and those of ties [force]; `tie` may be None without ties
+    friction : (m, d-1) or flat array-like [force]; None where the problem has no friction
+    """
+    n, m, k = problem.dimension, problem.contacts, problem.ties
+    if tie is None and k:
+        raise InvalidProblem(f"tie_force: the problem has {k} ties; expected their forces, shape ({k},), got None")
+    shaped = {"displacement": (u, (n,)), "normal_force": (force, (m,))}
+    shaped["tie_force"] = (np.zeros(0) if tie is None else tie, (k,))
+    if problem.slip_origin is not None:
+        if friction is None and problem.frictional:
+            raise InvalidProblem("friction_force: the problem has friction; expected one force a contact, got None")
+        shape = problem.slip_origin.shape
+        shaped["friction_force"] = (np.zeros(shape) if friction is None else friction, shape)
+    elif friction is not None and np.size(friction):
+        raise InvalidProblem("friction_force was given, but the problem has no tangential rows")
+    return {"friction_force": None} | read_shaped(shaped)
+
+
 def is_number(value: Any) -> bool:
     """Return whether a value is one real number; truth values are not, nor are NumPy's durations."""
     if type(value) in (int, float):
