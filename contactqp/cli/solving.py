@@ -147,30 +147,38 @@ def run_command(
     if asked.in_a_line and not as_json and speakers.speaks and not (quiet and met):
         click.echo(f"{whole} of {len(scenes)} met{'' if quiet else ' (--verbose prints the answers)'}")
     if foreign:
-        from contactqp.model.names import read_units
-        from contactqp.study.friction_files import run_files, write_files
-
-        shows = speakers.speaks and sys.stderr.isatty()
-        drawn = files is not None
-        solved = run_files(
-            foreign,
-            methods,
-            knobs,
-            drawn=drawn,
-            progress=shows,
-            engine=engine,
-            time_limit=time_limit,
-            units=read_units(units),
-        )
-        speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
-        met = met and all(outcome.passed for outcome in solved)
-        if speakers.speaks:
-            data += _print_files(solved, as_json, verbose)
-            for file in [] if files is None else write_files(solved, files.plot, files.vtu, files.csv):
-                click.echo(f"written: {file}", err=as_json)
+        passed, printed = _solve_files(foreign, asked, files, units)
+        met, data = met and passed, data + printed
     if as_json and speakers.speaks:
         print_json(data)
     sys.exit(0 if met else NOT_MET)
+
+
+def _solve_files(
+    foreign: Sequence[str], asked: _Asked, files: AnswerFiles | None, units: Mapping[str, str] | None
+) -> tuple[bool, list[Any]]:
+    """Solve the problems in files of other codes and print them; return whether all passed, and what --json prints."""
+    from contactqp.model.names import read_units
+    from contactqp.study.friction_files import run_files, write_files
+
+    solved = run_files(
+        foreign,
+        asked.methods,
+        asked.knobs,
+        drawn=files is not None,
+        progress=speakers.speaks and sys.stderr.isatty(),
+        engine=asked.engine,
+        time_limit=asked.time_limit,
+        units=read_units(units),
+    )
+    speakers.meet(_failed((one.failure, one.code or "") for one in solved if one.failure is not None))
+    passed = all(outcome.passed for outcome in solved)
+    if not speakers.speaks:
+        return passed, []
+    printed = _print_files(solved, asked.as_json, asked.verbose)
+    for file in [] if files is None else write_files(solved, files.plot, files.vtu, files.csv):
+        click.echo(f"written: {file}", err=asked.as_json)
+    return passed, printed
 
 
 def _refuse_on_engine(engine: str, checkpoint: str | None, csv: str | None, units: Mapping[str, str] | None) -> None:
