@@ -23,7 +23,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.multigrid import CoarsestLevel, HeldCoarsestLevel, Hierarchy, Level, largest_eigenvalue
+from contactqp.linalg.multigrid import (
+    CoarsestLevel,
+    HeldCoarsestLevel,
+    Hierarchy,
+    Level,
+    block_size,
+    largest_eigenvalue,
+)
 from contactqp.model.arrays import Array, Indices, Mask
 
 # Terms of the Chebyshev polynomial on the finest level and on the coarser ones, which cost little, and the part of the
@@ -60,16 +67,20 @@ class HeldLevel(ABC):
         middle, half = (1 + DAMPED) / 2 * self.largest, (1 - DAMPED) / 2 * self.largest
         sigma = middle / half
         rho = 1 / sigma
-        step = r / self.diagonal
+        step = self.scaled(r)
         step /= middle
         z = step.copy()
         for _ in range(terms - 1):
             r = r - self.product(step)
             rho, before = 1 / (2 * sigma - rho), rho
             step *= rho * before
-            step += (2 * rho / half) * (r / self.diagonal)
+            step += (2 * rho / half) * self.scaled(r)
             z += step
         return z, step, r
+
+    def scaled(self, r: Array) -> Array:
+        """Return D^-1 r, D being the diagonal or blocks on it."""
+        return np.asarray(r / self.diagonal)
 
 
 class VCycle:
@@ -153,25 +164,27 @@ def held_strength(compliance: Array) -> Array:
 
 
 class _HeldLevel(HeldLevel):
-    """One level in one process."""
+    """One level in one process. Where K comes in blocks, D has the springs in blocks of one node.
+
+    A spring that is not along an axis then stiffens a node along itself only. On the diagonal it would stiffen the node
+    in every direction, and strong springs, as of small slips that turn, would keep the smoother from moving it at all.
+    """
 
     def __init__(self, level: Level, added: LevelRows) -> None:
         self._level, self._added, self._spread = level, added, added.entries.T  # transposed once, not in every product
         self.diagonal, self.largest = level.diagonal, level.largest
-        if not added.entries.shape[0]:
-            return
-        E = added.entries
-        own = np.bincount(E.indices, E.data**2, E.shape[1])
-        self.diagonal = self.diagonal.copy()
-        self.diagonal[added.columns] += own
-        # An upper bound, as no eigenvalue of a sum exceeds those of both parts relative to their diagonals.
-        if E.nnz == np.count_nonzero(own):  # no unknown belongs to two rows, so W W' below is diagonal
-            of_rows = float(np.max(np.diff(E.indptr)))
-        else:
-            W = E[:, own > 0] @ sp.diags(1 / np.sqrt(own[own > 0]))
-            spread = W.T
-            of_rows = largest_eigenvalue(lambda v: W @ (spread @ v), np.ones(W.shape[0]))
-        self.largest = max(self.largest, of_rows)
+        self._springs: _NodalSprings | None = None
+        if added.entries.nnz:
+            self._springs = _NodalSprings(added, level.diagonal, block_size(level.matrix))
+            self.diagonal = self._springs.diagonal
+            # An upper bound, as no eigenvalue of a sum exceeds those of both parts relative to their blocks.
+            self.largest = max(self.largest, self._springs.largest)
+
+    def scaled(self, r: Array) -> Array:
+        z = super().scaled(r)
+        if self._springs is not None:
+            self._springs.scale_skew(r, z)
+        return z
 
     def product(self, x: Array) -> Array:
         y = self._level.product(x)
@@ -185,3 +198,56 @@ class _HeldLevel(HeldLevel):
 
     def prolonged(self, z: Array) -> Array:
         return np.asarray(self._level.prolong @ z)
+
+
+# Added to blocks of springs, which are singular, relative to the stiffest spring of their node.
+REGULAR = 1e-8
+
+
+class _NodalSprings:
+    """The blocks of E'CE at the nodes that it touches, added to the diagonal of K there.
+
+    Attributes
+    ----------
+    diagonal : (n,) array, that of the sum
+    largest : a bound of the eigenvalues of E'CE relative to its blocks; one where every row touches one node
+    """
+
+    def __init__(self, added: LevelRows, diagonal: Array, size: int) -> None:
+        nodes, place = np.unique(added.columns // size, return_inverse=True)
+        rows = _by_node(added, size * place.ravel() + added.columns % size, len(nodes), size)
+        e, blocks = rows.data[:, 0], np.zeros((len(nodes), size, size))
+        for i, j in np.ndindex(size, size):
+            blocks[:, i, j] = np.bincount(rows.indices, e[:, i] * e[:, j], len(nodes))
+        own, at = np.diagonal(blocks, axis1=1, axis2=2), diagonal.reshape(-1, size)[nodes]
+        unknowns = size * nodes[:, None] + np.arange(size)
+        self.diagonal = diagonal.copy()
+        self.diagonal[unknowns] += own
+        self.largest = 1.0 if np.max(np.diff(rows.indptr), initial=0) <= 1 else _largest(rows, blocks, at)
+        skew = np.count_nonzero(blocks, axis=(1, 2)) > np.count_nonzero(own, axis=1)
+        self._unknowns = unknowns[skew].ravel()
+        self._inverse = np.linalg.inv((blocks + at[:, :, None] * np.eye(size))[skew])
+
+    def scale_skew(self, r: Array, z: Array) -> None:
+        """Set D^-1 r at the nodes with springs that are not along an axis, in place of z there."""
+        near = r[self._unknowns].reshape(self._inverse.shape[:2])[:, :, None]
+        z[self._unknowns] = (self._inverse @ near).ravel()
+
+
+def _by_node(added: LevelRows, column: Indices, count: int, size: int) -> Any:
+    """Return rows as blocks (1, size), one for each node that a row touches."""
+    E = added.entries
+    return sp.csr_matrix((E.data, column[E.indices], E.indptr), (E.shape[0], size * count)).tobsr((1, size))
+
+
+def _largest(rows: Any, blocks: Array, diagonal: Array) -> float:
+    """Return the largest eigenvalue of E'CE relative to its blocks (count, size, size)."""
+    size = blocks.shape[1]
+    stiffest = np.max(np.diagonal(blocks, axis1=1, axis2=2) / diagonal, axis=1)
+    lift = np.where(stiffest > 0, REGULAR * stiffest, 1.0)[:, None] * diagonal
+    inverse, spread = np.linalg.inv(blocks + lift[:, :, None] * np.eye(size)), rows.T
+
+    def product(v: Array) -> Array:
+        return np.asarray(rows @ (inverse @ (spread @ v).reshape(-1, size, 1)).ravel())
+
+    return largest_eigenvalue(product, np.ones(rows.shape[0]))
