@@ -28,6 +28,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.certificate.coulomb_law import distance_from_law, natural_map
@@ -100,29 +101,30 @@ def _reason(problem: LocalProblem, critical: CriticalFriction) -> str:
 
 
 def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> bool:
-    d, columns = problem.dimension, list[Vector]()
-    for i in np.flatnonzero(closed).tolist():
-        for direction in np.eye(d) if stuck[i] else along[i : i + 1]:
-            column = np.zeros(d * problem.contacts)
-            column[d * i : d * (i + 1)] = direction
-            columns.append(column)
-    if not columns:
+    d, m = problem.dimension, problem.contacts
+    directions = np.where(stuck[:, None, None], np.eye(d), along[:, None, :])
+    kept = closed[:, None] & (stuck[:, None] | (np.arange(d) == 0))
+    if not kept.any():
         return False
-    B = np.array(columns).T
-    matrix = B.T @ (problem.scaled_delassus @ B)
+    B = sp.bsr_array((directions, np.arange(m), np.arange(m + 1))).tocsr()[kept.ravel()]
+    matrix = (B @ problem.scaled_delassus @ B.T).toarray()
     if problem.joints:
         joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
-        coupling = B.T @ (problem.bilateral.toarray() * np.outer(scale, joints))
+        coupling = B @ (problem.bilateral.toarray() * np.outer(scale, joints))
         inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
         matrix = np.block([[matrix, coupling], [coupling.T, inner]])
     size = np.sqrt(np.maximum(abs(matrix).max(axis=1, initial=0.0), TINY))
     if not np.isfinite(scaled := matrix / np.outer(size, size)).all():
         return False  # forces overflow
     factor, _, failed = lapack().dgetrf(scaled)
-    if not failed and lapack().dgecon(factor, np.linalg.norm(scaled, 1))[0] > SURELY_INDEPENDENT:
+    norm = float(np.linalg.norm(scaled, 1))
+    condition = 0.0 if failed else float(lapack().dgecon(factor, norm)[0])
+    if condition > SURELY_INDEPENDENT:
         return False
-    values = np.linalg.svd(scaled, compute_uv=False)
-    return bool(values[-1] <= DEPENDENT_ROWS * values[0])
+    # The reciprocal condition in the 1-norm, here from above, is at least an n-th of that in the 2-norm.
+    if len(scaled) * (condition + EPS * abs(factor).max() / max(norm, TINY)) > DEPENDENT_ROWS:
+        condition = float(np.divide(*np.linalg.svd(scaled, compute_uv=False)[[-1, 0]]))
+    return condition <= DEPENDENT_ROWS
 
 
 # The smallest scales by which Siconos divides.
@@ -171,8 +173,7 @@ def acary_bremond_huber_error(problem: LocalProblem, force: ArrayLike, joint_for
     InvalidProblem
         Wrong shapes, or q = 0.
     """
-    size = float(np.linalg.norm(problem.offset))
-    if size == 0:
+    if not (size := float(np.linalg.norm(problem.offset))):
         raise InvalidProblem("offset: the error is relative to |q|, and q is zero")
     return _local(problem, force, joint_force)[1] / size
 

@@ -73,6 +73,6 @@ def _factorised(form: LocalForm, rho: float) -> BlockSystem:
     size = form.m * form.d
     identity = sp.identity(size, format="csr") if form.sparse else np.eye(size)
     try:
-        return BlockSystem(form, form.W + rho * identity)
+        return BlockSystem(form, form.W + rho * identity, form.V, form.V)
     except np.linalg.LinAlgError as error:
         raise NotConverged(f"admm: singular at the penalty {rho:.3g}") from error

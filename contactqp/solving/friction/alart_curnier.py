@@ -25,12 +25,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.measures import lengths
-from contactqp.model.arrays import EPS, Array, Vector, time_is_up
+from contactqp.model.arrays import EPS, Array, Mask, Vector, time_is_up
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
 # The first, the smallest and the largest regularisation, with contacts scaled to a compliance of one.
@@ -94,65 +95,67 @@ def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | No
 
 
 def _direction(form: LocalForm, here: Iterate, regularisation: float) -> tuple[Array, Vector] | None:
+    """Return Newton's changes of the forces of contacts (m, d) and joints (p,), None where the system is singular.
+
+    An open contact loses its force whatever the others do, so that equations are solved for the closed ones alone.
+    """
     r, u = here.force, form.velocity(here.force, here.joint_force)
-    A, B, phi = jacobian_blocks(r, u, form.mu)
-    if form.sparse:
-        size = form.m * form.d
-        W = form.W + regularisation * sp.identity(size, format="csr")
-        blocks = _block_diagonal(B)
-        matrix, coupling = _block_diagonal(A) + blocks @ W, blocks @ form.V
-    else:
-        W = form.W.reshape(form.m, form.d, -1)
-        product = np.einsum("iab,ibc->iac", B, W)
-        own = np.arange(form.m)
-        # Indices of the diagonal blocks of contacts.
-        view = product.reshape(form.m, form.d, form.m, form.d)
-        view[own, :, own, :] += A + regularisation * B
-        matrix = product.reshape(form.m * form.d, form.m * form.d)
-        coupling = np.einsum("iab,ibc->iac", B, form.V.reshape(form.m, form.d, form.joints)).reshape(form.V.shape)
+    closed = r[:, 0] > u[:, 0]
+    change = np.where(closed[:, None], 0.0, -r)
+    A, B, phi = jacobian_blocks(r[closed], u[closed], form.mu[closed])
+    missed, V = form.joint_residual(r, here.joint_force), form.V.reshape(form.m, form.d, form.joints)[closed]
+    if change.any():
+        phi = phi + np.einsum("iab,ib->ia", B, (form.W @ change.ravel()).reshape(form.m, form.d)[closed])
+        missed = missed + form.V.T @ change.ravel()
     try:
-        system = BlockSystem(form, matrix, coupling)
-        change, joint = system.solve(-phi.ravel(), -form.joint_residual(r, here.joint_force))
+        system = BlockSystem(form, _jacobian(form, A, B, regularisation, closed), V, B @ V)
+        found, joint = system.solve(-phi.ravel(), -missed)
     except np.linalg.LinAlgError:
         return None  # singular: a larger regularisation
-    if not (np.isfinite(change).all() and np.isfinite(joint).all()):
+    if not (np.isfinite(found).all() and np.isfinite(joint).all()):
         return None
-    return change.reshape(form.m, form.d), joint
+    change[closed] = found.reshape(-1, form.d)
+    return change, joint
+
+
+def _jacobian(form: LocalForm, A: Array, B: Array, regularisation: float, closed: Mask) -> Any:
+    """Return A + B (W + a I) of the closed contacts, B (q, d, d) that of a unilateral one in its first row."""
+    own = A + regularisation * B
+    if form.sparse:
+        return form.blocks.jacobian(own, B, closed)
+    W, q = form.W, len(B)
+    if q < form.m:
+        kept = np.repeat(closed, form.d).nonzero()[0]
+        W = W[kept[:, None], kept]
+    matrix = np.matmul(B, W.reshape(q, form.d, q * form.d)).reshape(q, form.d, q, form.d)
+    each = np.arange(q)
+    matrix[each, :, each, :] += own
+    return matrix.reshape(q * form.d, q * form.d)
 
 
 def jacobian_blocks(r: Array, u: Array, friction: Vector) -> tuple[Array, Array, Array]:
-    """Return A, B (m, d, d) of the Jacobian A + B W, and Phi (m, d), at forces and velocities (m, d)."""
-    m, d = r.shape
-    trial = r[:, 0] - u[:, 0]
-    y = r[:, 1:] - u[:, 1:]
-    size, bound = lengths(y), friction * np.maximum(trial, 0.0)
-    closed = trial > 0
-    stuck = closed & (size <= bound) & (friction > 0)
-    sliding = closed & ~stuck
-    A, B, phi, unit = np.zeros((m, d, d)), np.zeros((m, d, d)), r.copy(), np.eye(d)
-    A[~closed] = unit
-    B[closed, 0, 0] = 1.0
-    phi[closed, 0] = u[closed, 0]
-    if d > 1:
-        unit = unit[1:, 1:]
-        B[stuck, 1:, 1:] = unit
-        phi[stuck, 1:] = u[stuck, 1:]
-        t = y[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)[:, None]
-        share = bound[sliding] / np.where(size[sliding] > 0, size[sliding], 1.0)
-        across = share[:, None, None] * (unit - t[:, :, None] * t[:, None, :])
+    """Return A, B (q, d, d) of the Jacobian A + B W, and Phi (q, d), at forces and velocities (q, d) of closed
+    contacts.
+    """
+    q, d = r.shape
+    A, B, phi = np.zeros((q, d, d)), np.zeros((q, d, d)), u.copy()
+    B[:] = np.eye(d)
+    if d == 1:
+        return A, B, phi
+    y, bound = r[:, 1:] - u[:, 1:], friction * (r[:, 0] - u[:, 0])
+    size = lengths(y)
+    sliding = ((size > bound) | (friction == 0)).nonzero()[0]
+    if len(sliding):
+        y, bound, size = y[sliding], bound[sliding], np.where(size[sliding] > 0, size[sliding], 1.0)
+        t, unit = y / size[:, None], np.eye(d - 1)
+        across = (bound / size)[:, None, None] * (unit - t[:, :, None] * t[:, None, :])
         push = friction[sliding, None] * t
         A[sliding, 1:, 1:] = unit - across
         A[sliding, 1:, 0] = -push
         B[sliding, 1:, 0] = push
         B[sliding, 1:, 1:] = across
-        phi[sliding, 1:] = r[sliding, 1:] - bound[sliding, None] * t
+        phi[sliding, 1:] = r[sliding, 1:] - bound[:, None] * t
     return A, B, phi
-
-
-def _block_diagonal(blocks: Array) -> sp.csr_array:
-    m, d, _ = blocks.shape
-    column = np.broadcast_to(d * np.arange(m)[:, None, None] + np.arange(d)[None, None, :], blocks.shape)
-    return sp.csr_array((blocks.ravel(), column.ravel(), d * np.arange(m * d + 1)), shape=(m * d, m * d))
 
 
 # The first, the smallest and the largest weight, with contacts scaled to a compliance of one.
@@ -184,7 +187,10 @@ def _regular(form: LocalForm, centre: Iterate, weight: float) -> LocalForm:
     """Return the form of the proximal point problem, W + weight I and q - weight r of the centre r."""
     size = form.m * form.d
     nearby = copy.copy(form)
-    nearby.W = form.W + weight * (sp.identity(size, format="csr") if form.sparse else np.eye(size))
+    if form.sparse:
+        nearby.W, nearby.blocks = form.W + weight * sp.identity(size, format="csr"), form.blocks.stiffened(weight)
+    else:
+        nearby.W = form.W + weight * np.eye(size)
     nearby.q = form.q - weight * centre.force.ravel()
     return nearby
 

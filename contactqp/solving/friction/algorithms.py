@@ -10,7 +10,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.model.arrays import stated_limit, tell, time_is_up
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.friction.admm import admm
-from contactqp.solving.friction.alart_curnier import drawn_combinations, newton, proximal_points
+from contactqp.solving.friction.alart_curnier import ROUNDED, drawn_combinations, newton, proximal_points
 from contactqp.solving.friction.convex_steps import ConvexSteps, cone_fixed_point, tresca_fixed_point
 from contactqp.solving.friction.gauss_seidel import gauss_seidel
 from contactqp.solving.friction.local_form import NEARER, Deadline, FoundOnBodies, Iterate, LocalForm
@@ -175,7 +175,7 @@ def run_algorithm(
             if polish and (found.iterations >= next_polish or last or found.error <= nearly):
                 next_polish = found.iterations + max(FIRST_POLISH, found.iterations // 2)
                 nearly = min(nearly, NEARER * found.error)
-                nearest = newton(form, found)
+                nearest = found if _ends_at_rounding(algorithm, found) else newton(form, found)
             best = nearest if nearest.error < best.error else best
             if accepted(nearest):
                 kept = replace(nearest, iterations=found.iterations, history=tuple(history))
@@ -196,6 +196,11 @@ def run_algorithm(
         raise NotConverged(f"{name}: {error}", tuple(history)) from error
     kept = replace(best, iterations=len(history), history=tuple(history))
     return Outcome(kept, name, False, steps)
+
+
+def _ends_at_rounding(algorithm: Algorithm, found: Iterate) -> bool:
+    """Return whether an iterate is where Newton's method ended because no step lowers a residual of rounding size."""
+    return algorithm.iterates is _newton_only and found.error <= ROUNDED * found.size
 
 
 def _stagnates(errors: list[float], patience: int) -> bool:

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from contactqp.certificate.coulomb_law import natural_map
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import Array, Vector, seconds_left, stated_limit
+from contactqp.model.arrays import Array, Indices, Mask, Vector, seconds_left, stated_limit
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
 
@@ -68,6 +68,11 @@ class LocalForm:
                     f"{name}: an entry is no double in units in which every contact's own compliance is one and what "
                     "drives it is one; state the problem in units in which its numbers are nearer to each other"
                 )
+
+    @cached_property
+    def blocks(self) -> ContactBlocks:
+        """Return the blocks of a sparse W."""
+        return ContactBlocks.of(self.W, self.d)
 
     @property
     def joints(self) -> int:
@@ -124,26 +129,94 @@ class LocalForm:
         return force, joint * self._joint_scale * self._velocity_size
 
 
-class BlockSystem:
-    """The factors of [[A, V], [V', R + e I]] with A (d m, d m), dense or sparse, and tiny e where R is zero.
+class ContactBlocks:
+    """A sparse W by its d x d blocks of contacts that feel each other, column by column; a contact's own is there.
 
-    Raises LinAlgError: it is singular.
+    Attributes
+    ----------
+    rows, columns : (b,) arrays of int, contacts
+    values : (b, d, d) array
     """
 
-    def __init__(self, form: LocalForm, A: Any, coupling: Array | None = None) -> None:
-        V = form.V if coupling is None else coupling
-        self._size, self._sparse = A.shape[0], form.sparse
+    def __init__(self, rows: Indices, columns: Indices, values: Array) -> None:
+        self.rows, self.columns, self.values = rows, columns, values
+
+    @classmethod
+    def of(cls, W: Any, d: int) -> ContactBlocks:
+        """Return the blocks of a matrix (d m, d m)."""
+        stored = sp.bsr_array(sp.csr_array(W.T), blocksize=(d, d))
+        m = W.shape[0] // d
+        rows, columns = stored.indices.astype(np.intp), np.arange(m).repeat(np.diff(stored.indptr))
+        lacks = np.setdiff1d(np.arange(m), rows[rows == columns])  # contacts without any compliance of their own
+        rows, columns = np.concatenate([rows, lacks]), np.concatenate([columns, lacks])
+        values = np.concatenate([stored.data.transpose(0, 2, 1), np.zeros((len(lacks), d, d))])
+        order = np.lexsort((rows, columns))
+        return cls(rows[order], columns[order], values[order])
+
+    def stiffened(self, weight: float) -> ContactBlocks:
+        """Return the blocks of W + weight I."""
+        values = self.values.copy()
+        values[self.rows == self.columns] += weight * np.eye(values.shape[1])
+        return ContactBlocks(self.rows, self.columns, values)
+
+    def jacobian(self, own: Array, B: Array, closed: Mask) -> Any:
+        """Return A + B W of the closed contacts among all (m,), as an array where it is small, else by columns.
+
+        Parameters
+        ----------
+        own, B : (q, d, d) arrays, A and B of the closed contacts
+        closed : (m,) array of bool
+        """
+        d, q = self.values.shape[1], len(B)
+        rows, columns, values = self.rows, self.columns, self.values
+        if q < len(closed):
+            kept = closed[rows] & closed[columns]
+            number = np.cumsum(closed) - 1
+            rows, columns, values = number[rows[kept]], number[columns[kept]], values[kept]
+        values = np.matmul(B[rows], values)
+        values[rows == columns] += own
+        if q * d <= DENSE_SIZE:
+            matrix = np.zeros((q, d, q, d))
+            matrix[rows, :, columns, :] = values
+            return matrix.reshape(q * d, q * d)
+        count = np.bincount(columns, minlength=q)
+        start = np.cumsum(count) - count
+        # Entry (a, b) of a block: behind those of the columns before, then behind the blocks above it.
+        first = d * (d * start[columns] + np.arange(len(rows)) - start[columns])
+        entry = np.arange(d)
+        place = first[:, None, None] + entry[:, None] + (d * count[columns])[:, None, None] * entry
+        data, indices = np.empty(values.size), np.empty(values.size, dtype=np.int32)
+        data[place], indices[place] = values, (d * rows)[:, None, None] + entry[:, None]
+        ends = np.concatenate([[0], np.cumsum(np.repeat(d * count, d))]).astype(np.int32)
+        return sp.csc_matrix((data, indices, ends), shape=(q * d, q * d))
+
+
+class BlockSystem:
+    """The factors of [[A, C], [V', R + e I]], with tiny e where R is zero.
+
+    Raises LinAlgError: it is singular.
+
+    Parameters
+    ----------
+    form : LocalForm, with the R of its joints
+    A : (d q, d q) array, or sparse by columns
+    V, coupling : (q, d, p) or (d q, p) arrays, V and C
+    """
+
+    def __init__(self, form: LocalForm, A: Any, V: Array, coupling: Array) -> None:
+        self._size, self._sparse = A.shape[0], sp.issparse(A)
+        V, coupling = V.reshape(self._size, form.joints), coupling.reshape(self._size, form.joints)
         R = form.R + JOINT_REGULARISATION * np.diag(form.joint_signs) if form.joints else form.R
-        if form.sparse:
+        if self._sparse:
             from scipy.sparse.linalg import splu
 
-            blocks = sp.bmat([[A, sp.csr_array(V)], [sp.csr_array(form.V.T), R]]) if form.joints else A
+            blocks = sp.bmat([[A, sp.csr_array(coupling)], [sp.csr_array(V.T), R]]) if form.joints else A
             try:
                 self._factor: Any = splu(sp.csc_matrix(blocks))
             except RuntimeError as error:
                 raise np.linalg.LinAlgError(str(error)) from error
         else:
-            blocks = np.block([[A, V], [form.V.T, R]]) if form.joints else A
+            blocks = np.block([[A, coupling], [V.T, R]]) if form.joints else A
             # LAPACK does not accept matrices without rows.
             factor, pivots, info = lapack().dgetrf(blocks) if len(blocks) else (blocks, np.zeros(0, dtype=np.int32), 0)
             if info > 0:

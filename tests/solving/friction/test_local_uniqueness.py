@@ -45,6 +45,20 @@ def test_contacts_that_share_their_rows() -> None:
     assert cq.solve(alone).certificate.uniqueness == ()
 
 
+@pytest.mark.parametrize("apart", [1e-12, 1e-7])
+def test_contacts_that_nearly_share_their_rows_need_singular_values_only_near_the_border(
+    apart: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows that differ by 1e-12 depend on each other by the condition of their block, those of 1e-7 do not."""
+    found, svd = [], np.linalg.svd
+    monkeypatch.setattr(np.linalg, "svd", lambda *given, **how: found.append(given) or svd(*given, **how))
+    W = np.kron([[1.0, 1.0], [1.0, 1.0 + apart]], np.eye(3))
+    problem = cq.LocalProblem(delassus=W, offset=np.tile([-1.0, 0.1, 0.0], 2), friction=0.5, dimension=3)
+    certificate = cq.certify_local(problem, np.tile([0.5, -0.05, 0.0], 2))
+    assert (FORCES in certificate.uniqueness) == (apart < 1e-10)
+    assert bool(found) == (apart > 1e-10)
+
+
 def test_an_unsymmetric_operator_is_said_to_be_so() -> None:
     W = np.array([[1.0, 2.001], [2.0, 5.0]])
     problem = cq.LocalProblem(delassus=W, offset=[-7.0, -17.0], friction=0.3, dimension=2)

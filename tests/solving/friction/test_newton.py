@@ -8,9 +8,10 @@ import pytest
 import contactqp as cq
 from contactqp.linalg.condensation import condense
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
+from contactqp.solving.friction import alart_curnier
 from contactqp.solving.friction.alart_curnier import drawn_combinations
 from contactqp.solving.friction.force_system import ForceSystem
-from contactqp.solving.friction.local_form import Iterate, LocalForm
+from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 from tests.solving.friction.problems import one_contact, pad, random_problem, rough_truss, two_masses
 
 
@@ -139,3 +140,85 @@ def test_drawn_combinations_pass_over_bodies_that_have_gone_far_away() -> None:
     found = list(drawn_combinations(form, Iterate.nothing(form)))
     assert len(found) > 10
     assert max(np.max(abs(one.joint_force)) for one in found) <= 1e3
+
+
+def _chain(m: int, d: int, joints: int, coupled: int) -> LocalForm:
+    """Return contacts that feel others up to twice `coupled` away; one of them has no compliance of its own."""
+    rng = np.random.default_rng(10 * m + d)
+    rows = np.kron(np.eye(m), np.eye(d)) + 0.2 * rng.normal(size=(m * d, m * d))
+    apart = abs(np.subtract.outer(np.arange(m), np.arange(m))) <= coupled
+    rows *= np.kron(apart, np.ones((d, d)))
+    rows[5 * d : 6 * d] = 0.0
+    V = rng.normal(size=(m * d, joints))
+    return LocalForm(
+        cq.LocalProblem(
+            delassus=rows @ rows.T,
+            offset=rng.normal(size=m * d),
+            friction=np.where(np.arange(m) % 7, 0.3, 0.0),
+            dimension=d,
+            bilateral=V,
+            bilateral_delassus=np.eye(joints),
+            bilateral_offset=rng.normal(size=joints),
+        )
+    )
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(("m", "joints", "coupled"), [(20, 2, 19), (120, 0, 1), (160, 0, 1), (160, 3, 1)])
+def test_newtons_step_is_that_of_the_whole_law(m: int, joints: int, coupled: int, d: int) -> None:
+    """The equations of closed contacts, dense or by blocks, give the step that those of all contacts give."""
+    form, rng = _chain(m, d, joints, coupled), np.random.default_rng(m)
+    assert form.sparse == (m > 20)
+    here = Iterate.at(form, rng.normal(size=(m, d)), rng.normal(size=joints))
+    r, u = here.force, form.velocity(here.force, here.joint_force)
+    closed, stuck = _law(r, u, form.mu)
+    assert 0 < stuck.sum() < closed.sum() < m
+    step = alart_curnier._direction(form, here, 1e-3)
+    assert step is not None
+    change, joint_change = step
+    W = (form.W.toarray() if form.sparse else form.W) + 1e-3 * np.eye(m * d)
+    du = (W @ change.ravel() + form.V @ joint_change).reshape(m, d)
+    t = 1e-7
+    ahead = _map(r + t * change, u + t * du, form.mu)
+    np.testing.assert_allclose((ahead - _map(r, u, form.mu)) / t, -_map(r, u, form.mu), rtol=1e-4, atol=1e-4)
+    missed = form.joint_residual(r + change, here.joint_force + joint_change)
+    np.testing.assert_allclose(missed, 0.0, atol=1e-9)
+
+
+def _law(r: np.ndarray, u: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which contacts are closed and which of them stick (m,)."""
+    trial = r - u
+    closed = trial[:, 0] > 0
+    return closed, closed & (mu > 0) & (np.linalg.norm(trial[:, 1:], axis=1) <= mu * trial[:, 0])
+
+
+def _map(r: np.ndarray, u: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """Return Alart's and Curnier's residual (m, d)."""
+    push = np.maximum(r[:, 0] - u[:, 0], 0.0)
+    y = r[:, 1:] - u[:, 1:]
+    size = np.linalg.norm(y, axis=1)
+    part = np.minimum(1.0, mu * push / size)
+    return np.column_stack([r[:, 0] - push, r[:, 1:] - part[:, None] * y])
+
+
+def test_open_contacts_take_no_part_in_newtons_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes, form = [], _chain(160, 3, 0, 1)
+    solve = BlockSystem.solve
+    monkeypatch.setattr(BlockSystem, "solve", lambda self, *right: sizes.append(len(right[0])) or solve(self, *right))
+    force = np.zeros((160, 3))
+    force[:40, 0] = 1e3
+    here = Iterate.at(form, force, np.zeros(0))
+    closed = force[:, 0] > form.velocity(force, np.zeros(0))[:, 0]
+    alart_curnier._direction(form, here, 1e-3)
+    assert sizes == [3 * closed.sum()]
+    assert closed.sum() < 160
+
+
+def test_where_newton_ends_at_rounding_it_does_not_start_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, newton = [], alart_curnier.newton
+    monkeypatch.setattr(
+        "contactqp.solving.friction.algorithms.newton", lambda *given: calls.append(given) or newton(*given)
+    )
+    problem = cq.LocalProblem(delassus=np.diag([3.0, 7.0, 11.0]), offset=[-0.1, 0.7, 0.3], friction=0.3, dimension=3)
+    assert cq.solve(problem).certificate.natural_map <= 1e-15
+    assert len(calls) == 1
