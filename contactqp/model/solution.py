@@ -194,7 +194,6 @@ class Certificate(ReadOnly, Printed):
         return f"{type(self).__name__}({verdict_of(self)})"
 
     def __str__(self) -> str:
-        verdict = "passed" if self.passed else "REFUSED"
         lines = []
         if self.basis == STATE and self.distance is not None:
             same = "with the same contacts open, sticking and slipping"
@@ -205,7 +204,11 @@ class Certificate(ReadOnly, Printed):
         lines += map(str, self.failures)
         lines += [f"no bound: {reason}" for reason in _together(self.reasons)]
         lines += [f"note: {note}" for note in self.notes]
-        return "\n".join([f"{verdict}{', proven' if self.proven else ', not proven'}", *wrapped(*lines)])
+        if self.passed:
+            verdict = "passed, proven" if self.proven else "passed, not proven"
+        else:
+            verdict = "REFUSED, error bounds proven" if self.proven else "REFUSED, no error bounds"
+        return "\n".join([verdict, *wrapped(*lines)])
 
 
 def _together(reasons: Iterable[str]) -> Iterator[str]:

@@ -107,8 +107,7 @@ def _lines(answers: CaseAnswers) -> Iterator[list[str]]:
     many, problem = answers.solutions, answers.solutions.problem
     status = many.contact_status
     for i, name in enumerate(answers.names):
-        verdict = "passed" if many.passed[i] else "REFUSED"
-        verdict += ", proven" if many.proven[i] else ""
+        verdict = ("passed, proven" if many.proven[i] else "passed") if many.passed[i] else "REFUSED"
         if not problem.contacts or np.isnan(many.normal_force[i]).any():
             yield [name, "", "", "", verdict]
             continue

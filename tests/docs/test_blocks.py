@@ -107,12 +107,9 @@ def test_what_is_not_run_is_still_there() -> None:
 def test_the_readme_has_no_block_but_those_that_its_test_takes_one_by_one() -> None:
     assert sorted(block.info for block in shown("README.md")) == [
         "pycon",
-        "python",
-        "python",
-        "python",
-        "sh",
-        "sh",
-        "text",
+        *["python"] * 5,
+        *["sh"] * 2,
+        *["text"] * 2,
         "toml",
     ]
 

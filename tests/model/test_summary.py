@@ -28,10 +28,20 @@ def test_a_certificate_prints_in_80_columns_and_parts_no_number_from_its_name() 
     for printed in (str(judged), str(cq.solve(TRUSS, "penalty", penalty=1e5).certificate)):
         lines = printed.splitlines()
         assert max(map(len, lines)) <= 80
-        assert lines[0] == "REFUSED, proven"
+        assert lines[0] == "REFUSED, error bounds proven"
         assert all(line.startswith("  ") for line in lines[1:])
         assert "tolerance 1e-06)" in printed
         assert not [line for line in lines if line.endswith("tolerance")]
+
+
+def test_what_is_refused_is_not_called_proven() -> None:
+    """"REFUSED, proven" reads as a proof that the answer is wrong, where its distance to the right one is bounded."""
+    rough = TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3)
+    slipping = cq.solve(rough, algorithm="tresca")
+    judged = cq.certify(rough, slipping.displacement, 1.01 * slipping.normal_force, slipping.friction_force)
+    assert not judged.proven
+    assert str(judged).splitlines()[0] == "REFUSED, no error bounds"
+    assert repr(judged) == "JudgedAnswer(REFUSED)"
 
 
 def test_the_method_of_an_answer_with_friction_is_told_in_the_fields_words() -> None:
