@@ -119,7 +119,7 @@ def test_the_critical_step_of_a_rod_is_a_wave_through_an_element(elements: int) 
 
 @pytest.mark.slow
 def test_a_step_that_is_too_long_for_a_contact_is_named_with_both_times() -> None:
-    """The course's rod: 0.2 m of steel at 0.5 m/s, steps of 0.01 s where contact lasts 7.7e-5 s."""
+    """The course chapter's rod: 0.2 m of steel at 0.5 m/s, steps of 0.01 s where contact lasts 7.7e-5 s."""
     length, modulus, density, area, n = 0.2, 2.1e11, 7850.0, np.pi * 0.008**2, 100
     h, middle = length / n, np.r_[1.0, 2 * np.ones(n - 1), 1.0]
     K = sp.csc_matrix(sp.diags([middle, -np.ones(n), -np.ones(n)], [0, 1, -1]) * modulus * area / h)

@@ -15,6 +15,8 @@ from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.scene import load_scene
 from contactqp.scene.schema import PHYSICS
 from contactqp.scene.shipped import shipped_files
+from contactqp.study import receipt, report_data
+from contactqp.study.stability import stability_report
 from docs.generating.case_gallery import PICTURES, picture
 from docs.generating.case_keys import blocks
 from docs.generating.errata import held, listed
@@ -111,3 +113,10 @@ def test_a_page_without_its_marks_and_a_changed_part_are_noticed() -> None:
 
 def test_bars_in_cells_do_not_end_them() -> None:
     assert table(("a",), [("x|y",)]).splitlines()[-1] == "| x\\|y |"
+
+
+def test_the_page_of_changes_states_the_versions_of_schemas_that_are_written() -> None:
+    """Programs that read the files of another version look here for what changed."""
+    stated = re.findall(r"\| `(contactqp-[a-z]+)` \| (\d+) \|", (DOCS / "changes.md").read_text())
+    written = [(module.SCHEMA, str(module.SCHEMA_VERSION)) for module in (report_data, stability_report, receipt)]
+    assert stated == written

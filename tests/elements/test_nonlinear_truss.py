@@ -15,7 +15,7 @@ TEST_BAR = np.array([0.0, 0.0, 0.2, 0.5])
 STRAIN = F(69, 200)
 FORCE = [F(-207, 500), F(-69, 400), F(207, 500), F(69, 400)]
 BLOCK = [[F(357, 200), F(3, 5)], [F(3, 5), F(119, 200)]]
-# What the course prints, with half of d'H: no gradient of any energy, and out of balance about node 1.
+# What the course chapter prints, with half of d'H: no gradient of any energy, and out of balance about node 1.
 PRINTED_FORCE = [F(-759, 2000), F(-69, 800), F(759, 2000), F(69, 800)]
 
 

@@ -35,7 +35,7 @@ def test_a_certificate_prints_in_80_columns_and_parts_no_number_from_its_name() 
 
 
 def test_what_is_refused_is_not_called_proven() -> None:
-    """"REFUSED, proven" reads as a proof that the answer is wrong, where its distance to the right one is bounded."""
+    """ "REFUSED, proven" reads as a proof that the answer is wrong, where its distance to the right one is bounded."""
     rough = TRUSS.replace(tangent=[[1.0, 0.0]], friction=0.3)
     slipping = cq.solve(rough, algorithm="tresca")
     judged = cq.certify(rough, slipping.displacement, 1.01 * slipping.normal_force, slipping.friction_force)

@@ -1,4 +1,7 @@
-"""Gallery problems from a course chapter on contact mechanics in 1D elastostatics, in units that make its data doubles.
+"""Gallery problems from the course chapter, in units that make its data doubles.
+
+The chapter is R. Perera and A. Carnicero, Contact Mechanics in 1D Elastostatics Problems (chapter 2 of Contact
+Non-linearities, Master's Degree in Numerical Simulation in Engineering with ANSYS, twelfth edition, 2020).
 
 Its examples are printed in kN and m. With kN and mm, stiffnesses are in kN/mm; with mN and mm in mN/mm, the same
 numbers as in N/m.
@@ -10,7 +13,7 @@ from fractions import Fraction
 
 from contactqp.oracle.gallery.problem import Contents, stated
 
-CHAPTER = "course chapter, contact mechanics in 1D elastostatics problems"
+CHAPTER = "Perera and Carnicero (2020), contact mechanics in 1D elastostatics problems"
 # EA = 315 MN, 2 m and 1 m long.
 BAR, SHORT_BAR = Fraction("157.5"), Fraction(315)  # kN/mm
 TRUSS = ((59803000, 6883100), (6883100, 77443000))  # N/m, as printed

@@ -1,9 +1,10 @@
 """The textbook's active-set loop around the five classical methods of enforcement.
 
-The course chapter solves inequality contact as a sequence of equality problems: solve with the current set of closed
-contacts, close contacts that penetrate, open contacts in tension, and repeat until nothing changes. Master-slave,
-multipliers, penalty, perturbed and augmented Lagrangian differ only in how closed contacts are enforced, so each is one
-function from a set of closed contacts to a `Step`.
+The course chapter (R. Perera and A. Carnicero, Contact Mechanics in 1D Elastostatics Problems, 2020) solves inequality
+contact as a sequence of equality problems: solve with the current set of closed contacts, close contacts that
+penetrate, open contacts in tension, and repeat until nothing changes. Master-slave, multipliers, penalty, perturbed and
+augmented Lagrangian differ only in how closed contacts are enforced, so each is one function from a set of closed
+contacts to a `Step`.
 
 The loop may cycle, or open so many contacts that a body floats. Then the criss-cross method, which is not in the
 textbook, changes one contact at a time: of the contacts with a wrong sign, the one of least index. If its row depends
