@@ -380,10 +380,22 @@ def _pointer(array: Any) -> ctypes.c_void_p:
 
 
 def _entries_of(matrix: Any, kind: int) -> Any:
-    """Return the entries of a matrix in PARDISO's form, by rows with ascending columns."""
+    """Return the entries of a matrix in PARDISO's form, by rows with ascending columns.
+
+    Of a symmetric matrix it needs every entry of the diagonal, also those that are zero.
+    """
     entries = sp.csr_array(matrix) if kind == UNSYMMETRIC else upper_triangle(matrix)
     entries.sort_indices()
-    return entries
+    if kind == UNSYMMETRIC:
+        return entries
+    rows, filled = np.arange(entries.shape[0]), np.flatnonzero(np.diff(entries.indptr))
+    missing = np.setdiff1d(rows, filled[entries.indices[entries.indptr[filled]] == filled])
+    if not missing.size:
+        return entries
+    starts = entries.indptr + np.searchsorted(missing, np.arange(len(entries.indptr)))
+    first = entries.indptr[missing]
+    columns, values = np.insert(entries.indices, first, missing), np.insert(entries.data, first, 0.0)
+    return sp.csr_array((values, columns, starts), shape=entries.shape)
 
 
 def upper_triangle(matrix: Any) -> Any:

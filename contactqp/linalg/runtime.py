@@ -6,10 +6,11 @@ its module.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from importlib import import_module
@@ -34,6 +35,36 @@ def _renew_cached_properties() -> None:
 
 if sys.version_info < (3, 12):  # from Python 3.12 on there are no locks
     renew_in_child(_renew_cached_properties)
+
+
+STANDARD_OUTPUT = 1
+# One thread at a time exchanges the standard output, so that each of them finds the original one to restore.
+_EXCHANGE = [threading.RLock()]
+renew_in_child(lambda: _EXCHANGE.__setitem__(0, threading.RLock()))
+
+
+@contextlib.contextmanager
+def silenced_output() -> Iterator[None]:
+    """Discard what compiled libraries print on the standard output of the process, as Python cannot intercept it."""
+    with _EXCHANGE[0]:
+        yield from _silenced()
+
+
+def _silenced() -> Iterator[None]:
+    try:
+        sys.stdout.flush()
+        kept = os.dup(STANDARD_OUTPUT)
+    except (AttributeError, OSError, ValueError):  # no such file descriptor, so nothing is visible
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, STANDARD_OUTPUT)
+        yield
+    finally:
+        os.dup2(kept, STANDARD_OUTPUT)
+        os.close(kept)
+        os.close(nowhere)
 
 
 # The last part of the name of SciPy's modules with copies of NumPy's names.

@@ -26,6 +26,7 @@ difference K_cc - K_ci K_ii^-1 K_ic loses anyway.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -38,6 +39,7 @@ from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, Pardiso, available
+from contactqp.linalg.runtime import silenced_output
 from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -48,6 +50,8 @@ SPRING = 2.0**-4
 # Up to this number of retained unknowns their columns of (K + T)^-1 are kept, so that a product replaces the second
 # solve.
 FEW_TRAILING = 16
+# The number of columns of SuperLU's largest supernode.
+LARGEST_SUPERNODE = 200
 
 
 class TrailingBlock:
@@ -132,7 +136,10 @@ def _factorise(matrix: Any, interior: int) -> tuple[Any, bool]:
         refuse_late("the stiffness was factorised")
         added = np.where(np.arange(matrix.shape[0]) < interior, lift, SPRING)
         try:
-            factor = splu(sp.csc_matrix(matrix + sp.diags(added)), permc_spec="NATURAL", **DIAGONAL_PIVOTS)
+            # After zero pivots in a supernode of its largest size SuperLU calls BLAS with dimensions that are refused
+            # in print, before it reports that the matrix is singular.
+            with silenced_output() if matrix.shape[0] > LARGEST_SUPERNODE else nullcontext():
+                factor = splu(sp.csc_matrix(matrix + sp.diags(added)), permc_spec="NATURAL", **DIAGONAL_PIVOTS)
         except RuntimeError:  # SuperLU's message for a zero pivot above zeros
             continue
         if np.array_equal(factor.perm_r, factor.perm_c):  # else it exchanged rows because of a zero pivot

@@ -509,3 +509,21 @@ def test_a_band_without_an_inverse_is_told_and_a_wide_matrix_is_left_to_sparse_s
     assert order.wide
     assert order.band is None
     assert K @ solve(np.ones(side**2)) == pytest.approx(1.0, abs=1e-10)
+
+
+def test_unknowns_without_stiffness_may_be_retained():
+    """PARDISO needs every entry of the diagonal; where rows were empty it had failed with an error of its own."""
+    pytest.importorskip("pypardiso")
+    n = 60
+    K = sp.diags([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], [-1, 0, 1])
+    bare = [0, 7, 8, 63]
+    place = np.setdiff1d(np.arange(n + 4), bare)
+    spread = sp.csr_array((np.ones(n), (place, np.arange(n))), shape=(n + 4, n))
+    whole = sp.csr_array(spread @ K @ spread.T)
+    retained = np.sort([*bare, 5, 40])
+    factors = LastBlock(whole, retained)
+    interior = np.setdiff1d(np.arange(n + 4), retained)
+    dense = whole.toarray()
+    across = dense[np.ix_(interior, retained)]
+    expected = dense[np.ix_(retained, retained)] - across.T @ np.linalg.solve(dense[np.ix_(interior, interior)], across)
+    np.testing.assert_allclose(factors.schur, expected, rtol=0, atol=1e-14)

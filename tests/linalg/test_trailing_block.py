@@ -1,5 +1,7 @@
 """SuperLU with the retained unknowns last: S, loads and displacements against dense algebra and closed forms."""
 
+import os
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -219,3 +221,18 @@ def test_a_whole_solve_with_superlu_agrees_with_the_elimination():
     through = found.expand(np.linalg.solve(found.schur, reduced), state)
     straight = SuperLU(K).solve(f)
     assert np.max(abs(through - straight)) <= 1e-13 * np.max(abs(straight))
+
+
+def test_what_superlu_prints_of_singular_matrices_is_not_heard(monkeypatch, capfd):
+    """A cable of a thousand bars had written BLAS's complaints into the JSON of its answer."""
+
+    def speaking(matrix, **options):
+        os.write(1, b" ** On entry to DTRSV  parameter number  6 had an illegal value\n")
+        return splu(matrix, **options)
+
+    monkeypatch.setattr("scipy.sparse.linalg.splu", speaking)
+    TrailingBlock(
+        sp.diags([-np.ones(299), np.full(300, 2.0), -np.ones(299)], [-1, 0, 1], format="csr"), np.array([299])
+    )
+    print("heard")
+    assert capfd.readouterr().out == "heard\n"

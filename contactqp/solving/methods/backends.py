@@ -15,8 +15,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import os
-import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,6 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, Unsupported
+from contactqp.linalg.runtime import silenced_output
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
@@ -210,7 +209,6 @@ def backend_options(backend: Backend, settings: Settings) -> dict[str, Any]:
     return options
 
 
-STANDARD_OUTPUT = 1
 DEVELOPERS_WARNINGS = (DeprecationWarning, PendingDeprecationWarning, FutureWarning)
 
 
@@ -346,17 +344,8 @@ def hear_greeting(package: str) -> None:
         return
     import highspy
 
-    with contextlib.suppress(AttributeError, OSError, ValueError):  # no such file descriptor, so nothing is visible
-        sys.stdout.flush()
-        kept = os.dup(STANDARD_OUTPUT)
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        try:
-            os.dup2(nowhere, STANDARD_OUTPUT)
-            highspy.Highs()  # type: ignore[no-untyped-call]
-        finally:
-            os.dup2(kept, STANDARD_OUTPUT)
-            os.close(kept)
-            os.close(nowhere)
+    with contextlib.suppress(AttributeError), silenced_output():
+        highspy.Highs()  # type: ignore[no-untyped-call]
 
 
 @contextlib.contextmanager
