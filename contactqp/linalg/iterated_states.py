@@ -275,6 +275,7 @@ class CombinationSystem:
         self._smooth = iteration.smoother(self._active, across)
         self._scale = np.sqrt(iteration.diagonal)
         self._last: tuple[Vector, Vector, Vector] | None = None  # the last x, r and P_H M r
+        self._meeting: tuple[Vector, Vector] | None = None  # the last x, and the forces that meet there
 
     def closed(self, u: Vector) -> Vector:
         """Return a displacement moved onto the limits of the constrained rows."""
@@ -328,13 +329,13 @@ class CombinationSystem:
             unbalanced, along = self._looked_at(x)
             if self._small(x, unbalanced, BALANCED):
                 break
-            error = self.error(unbalanced, along)
-            if self._balanced(x, unbalanced, tolerance) and error <= energy**2 * self._work(x):
+            error, work = self.error(unbalanced, along), self._work(x)
+            if self._balanced(x, unbalanced, tolerance) and error <= energy**2 * work:
                 break
             left = last - self._iteration.krylov_iterations
             if left <= 0:
                 break
-            reduction = self._reduction(x, unbalanced, tolerance, energy, error)
+            reduction = self._reduction(x, unbalanced, tolerance, energy * np.sqrt(work), error)
             x = self._improved(x, unbalanced, along, reduction, min(left, STEPS))
         return x
 
@@ -361,15 +362,17 @@ class CombinationSystem:
 
     def _parts(self, x: Vector, residual: Vector) -> Vector:
         """Return a residual relative to the forces that meet (n,)."""
-        return ratio(abs(residual), self._iteration.product_sizes(x) + abs(self._rows.problem.load))
+        if self._meeting is None or self._meeting[0] is not x:
+            self._meeting = x, self._iteration.product_sizes(x) + abs(self._rows.problem.load)
+        return ratio(abs(residual), self._meeting[1])
 
     def _work(self, x: Vector) -> float:
         return self._iteration.dot(x, self._iteration.product(x))
 
     def _reduction(self, x: Vector, residual: Vector, tolerance: float, energy: float, error: float) -> float:
-        """Return the required reduction of a residual, limited by rounding."""
+        """Return the required reduction of a residual, limited by rounding; `energy` is that of the error allowed."""
         left = float(self._iteration.largest(np.max(self._parts(x, residual), initial=0.0, keepdims=True))[0])
-        allowed = energy * float(np.sqrt(self._work(x) / error)) if error > 0 else np.inf
+        allowed = energy / float(np.sqrt(error)) if error > 0 else np.inf
         balanced = EQUILIBRIUM * tolerance / left if left > 0 else np.inf
         return float(np.clip(AIM * min(allowed, balanced), TIGHTEST, LOOSEST))
 
