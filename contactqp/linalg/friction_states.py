@@ -386,7 +386,7 @@ def refined_by(
         if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
             break
         foreseen = size * min(caution * size / last, 1.0)
-        if sweep and (foreseen <= NEGLIGIBLE or size <= unseen):
+        if size <= unseen or (sweep and foreseen <= NEGLIGIBLE):
             break
         elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None

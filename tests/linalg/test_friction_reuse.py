@@ -92,3 +92,23 @@ def test_scales_of_contacts_without_a_compliance_follow_their_offsets():
     first = LocalProblem(np.diag([1.0, 1.0, 0.0, 0.0]), [-1.0, 0.0, 1.0, 0.0], 0.3, 2)
     assert first.contact_scale[1] == 1.0
     assert first.with_offsets(np.array([-1.0, 0.0, 4.0, 0.0]), np.zeros(0)).contact_scale[1] == 0.25
+
+
+def test_an_answer_right_to_doubles_is_refined_once_by_its_certificate(block, monkeypatch):
+    """What a correction changes beneath the rounding of slip directions a second one does not make smaller."""
+    corrections, correct = [], friction_states.StateSystem.correct
+    monkeypatch.setattr(
+        friction_states.StateSystem, "correct", lambda self, *given: corrections.append(self) or correct(self, *given)
+    )
+    found = cq.solve(block.replace(friction=0.1))
+    assert "slip" in found.contact_status
+    corrections.clear()
+    again = cq.certify(
+        found.problem,
+        displacement=found.displacement,
+        normal_force=found.normal_force,
+        friction_force=found.friction_force,
+    )
+    assert again.passed
+    assert again.distance <= 1e-15
+    assert len(corrections) == 1
