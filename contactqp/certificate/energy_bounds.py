@@ -38,42 +38,47 @@ from contactqp.certificate.balance import work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
-from contactqp.linalg.convexity import DEFINITE, REGULAR, stiffness_factor
+from contactqp.linalg.convexity import DEFINITE, REGULAR, diagonal_dominance, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
+    REACH,
     Scaling,
-    bounds_of_unknowns,
     equilibrated,
     in_range,
     least_length,
     mostly_bare,
+    reach,
     rows_alone,
 )
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import SuperLU, connected_parts
+from contactqp.linalg.factorization import SuperLU
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
-from contactqp.linalg.least_norm import without_needless_forces
+from contactqp.linalg.least_norm import by_corrections, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.schur import with_pivots
-from contactqp.linalg.sparse_saddle import MET_TOGETHER, REGULARISATIONS, ClosedState, Effort, SparseSaddle, kept_saddle
+from contactqp.linalg.sparse_saddle import (
+    MET_TOGETHER,
+    REGULARISATIONS,
+    WORTH_ANOTHER,
+    ClosedState,
+    Effort,
+    SparseSaddle,
+    kept_saddle,
+)
 from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
-# The bounds hold for solutions within this multiple of the size of the answer.
-REACH = 1e3
 # Motions and forces are free if the response to a unit is at least this part of 1/d.
 ALMOST_FREE = 1e-3
 # A smaller regularisation, which separates soft motions and nearly dependent rows from free and redundant ones.
 NEARER = 1e-11
 # If a residual of equilibrium costs more than this part of the energy, nearby constraints are used to bound it.
 NOTABLE = 1e-11
-# The relative rounding of a bound of an unknown, a quotient of doubles.
-ROUNDED_BOUND = EPS
-# The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
-DOMINANT = 1e-12
+# Energies whose bounds are wider than this part are not enclosed well enough for the certificate, which asks for 1e-9.
+DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
 ROUNDED = 1e-26
 # The number of rows up to which dense systems distribute a residual over forces, and a safety factor.
@@ -126,7 +131,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     state = settled(twin, start, Effort()) if finished else solved_from(twin, start, Effort(), claimed=False)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
-    state = without_needless_forces(state)
+    state = without_needless_forces(narrowed(state, Effort()))
     found = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
@@ -337,6 +342,26 @@ def narrow(state: ClosedState) -> bool:
     return state.holds and _width(state) <= NOTABLE * _energy(state)[1]
 
 
+def doubtful(state: ClosedState) -> bool:
+    """Return whether the bounds of a program's energy are so wide that its answer may be refused."""
+    return mostly_bare(state.problem) and not _width(state) <= DOUBTFUL * _energy(state)[1]
+
+
+def nearer(state: ClosedState, before: ClosedState) -> bool:
+    """Return whether a state has far smaller residuals, or narrower bounds beside doubtful ones and no new conflict."""
+    if not doubtful(before):
+        return state.better_than(before, WORTH_ANOTHER)
+    return state.length_residual <= max(before.length_residual, MET_TOGETHER) and _width(state) < _width(before)
+
+
+def narrowed(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return the solution to which corrections lead if the energy of a program is then bounded more narrowly."""
+    if not (state.holds and mostly_bare(state.problem)) or narrow(state):
+        return state
+    after = by_corrections(state, effort)
+    return after if after.holds and nearer(after, state) else state
+
+
 def _width(state: ClosedState) -> float:
     """Return w, the width of the bounds of the solution's energy by rounding."""
     answer = state.answer.double()
@@ -380,30 +405,6 @@ def _taken_by_constraints(state: ClosedState, dominance: Vector) -> float:
     others = left.force - extended_rows(problem).contact_force(extend(force), extend(tie))
     taken = float(force[near] @ abs(gap[near]) + abs(tie) @ abs(left.tie.double()))
     return taken + _cost(state, others.double(), dominance)
-
-
-def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Vector:
-    """Return R (n,), the largest change of each unknown from U in the direction of a residual [length].
-
-    It is limited by contacts and ties of that unknown, else REACH times the size of the answer.
-    """
-    farthest = REACH * (abs(displacement) + np.max(abs(displacement), initial=0.0))
-    lower, upper = bounds_of_unknowns(problem)
-    left = np.where(residual > 0, upper - displacement, displacement - lower)
-    rounding = ROUNDED_BOUND * np.where(residual > 0, abs(upper), abs(lower))
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.minimum(farthest, np.maximum(left, 0.0) + rounding))
-
-
-def diagonal_dominance(problem: ContactProblem) -> Vector:
-    """Return d (n,) >= 0 for which K - diag(d) is semidefinite, by Gershgorin's circles.
-
-    d_j is K_jj less the sum of the other |K_ji| in connected parts where that is positive in every row, else zero.
-    """
-    excess = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
-    part = connected_parts(problem.stiffness_rows)[1]
-    weak = part[~(excess > DOMINANT * problem.diagonal)]
-    return np.where(np.isin(part, weak), 0.0, excess)
 
 
 def _energy(state: ClosedState) -> tuple[float, float, float]:

@@ -14,13 +14,15 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import SuperLU, with_added_diagonal
+from contactqp.linalg.factorization import SuperLU, connected_parts, with_added_diagonal
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 
 # Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
+# The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
+DOMINANT = 1e-12
 # With pivots below this part of the diagonal entry a stiffness is singular to working precision.
 REGULAR = 1e-8
 # Pivots above this part exceed those that the raised diagonal gives for a motion without energy.
@@ -29,6 +31,17 @@ DEFINITE = 1e-10
 NAMED = 6
 # Steps of conjugate gradients that show a negative eigenvalue.
 STEPS = 15
+
+
+def diagonal_dominance(problem: ContactProblem) -> Vector:
+    """Return d (n,) >= 0 for which K - diag(d) is semidefinite, by Gershgorin's circles.
+
+    d_j is K_jj less the sum of the other |K_ji| in connected parts where that is positive in every row, else zero.
+    """
+    excess = 2 * problem.diagonal - problem.stiffness_sizes @ np.ones(problem.dimension)
+    part = connected_parts(problem.stiffness_rows)[1]
+    weak = part[~(excess > DOMINANT * problem.diagonal)]
+    return np.where(np.isin(part, weak), 0.0, excess)
 
 
 def refuse_indefinite(problem: ContactProblem) -> None:

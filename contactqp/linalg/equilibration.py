@@ -405,6 +405,25 @@ def bounds_of_unknowns(problem: ContactProblem) -> tuple[Vector, Vector]:
     return lower, upper
 
 
+# Bounds of energies hold for solutions within this multiple of the size of the answer.
+REACH = 1e3
+# The relative rounding of a bound of an unknown, a quotient of doubles.
+ROUNDED_BOUND = EPS
+
+
+def reach(problem: ContactProblem, displacement: Vector, residual: Vector) -> Vector:
+    """Return R (n,), the largest change of each unknown from U in the direction of a residual [length].
+
+    It is limited by contacts and ties of that unknown, else REACH times the size of the answer.
+    """
+    farthest = REACH * (abs(displacement) + np.max(abs(displacement), initial=0.0))
+    lower, upper = bounds_of_unknowns(problem)
+    left = np.where(residual > 0, upper - displacement, displacement - lower)
+    rounding = ROUNDED_BOUND * np.where(residual > 0, abs(upper), abs(lower))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.minimum(farthest, np.maximum(left, 0.0) + rounding))
+
+
 def nearest_bounds(problem: ContactProblem) -> tuple[Indices, Indices]:
     """Return the contacts of one unknown that are its tightest lower and upper bounds (n,), -1 for none."""
     rows = problem.normal

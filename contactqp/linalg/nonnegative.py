@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.model.arrays import TINY, Array, Indices, Mask, Vector, refuse_late, seconds_left
+from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late, seconds_left
 
 # W has a unit diagonal: a row depends on the closed contacts if they reduce its compliance below this.
 DEPENDENT = 1e-11
@@ -200,7 +200,8 @@ class StrictProgram:
             for k in reversed(pulling):
                 self._leave(k)
             x, self.force = self._held()
-        length = np.maximum(np.linalg.norm(self._rows, axis=1), TINY)
+        length = np.linalg.norm(self._rows, axis=1)
+        length[length == 0] = 1.0
         for step in steps:
             if step % STEPS_UNTIMED == 0:
                 refuse_late("contacts open and close one by one")

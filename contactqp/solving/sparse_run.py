@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.energy_bounds import narrow, unique_on
+from contactqp.certificate.energy_bounds import doubtful, narrow, narrowed, nearer, unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import least_norm, pardiso
 from contactqp.linalg.condensation import condense
@@ -36,14 +36,7 @@ from contactqp.linalg.interior_point import remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.refinement import pushing_contacts
 from contactqp.linalg.schur import LARGE
-from contactqp.linalg.sparse_saddle import (
-    SYSTEMS_AT_FIRST,
-    WASTED,
-    WASTED_AT_FIRST,
-    WORTH_ANOTHER,
-    ClosedState,
-    Effort,
-)
+from contactqp.linalg.sparse_saddle import SYSTEMS_AT_FIRST, WASTED, WASTED_AT_FIRST, ClosedState, Effort
 from contactqp.model.arrays import (
     METHOD,
     Vector,
@@ -164,10 +157,9 @@ class SparseRun(Run):
             if not found.claimed:
                 refuse_ray(self.problem, self._scaling.scale(found.answer))
             state = self._settle(found)
-            if before is not None and not (state.holds and state.better_than(before, WORTH_ANOTHER)):
+            if before is not None and not (state.holds and nearer(state, before)):
                 self._state = before  # the residual is rounding of the data
-                break
-            if state.holds:
+            elif state.holds:
                 best, self._effort.singles = found, least_norm.DUAL_CHANGES  # others need no further changes
             else:
                 if self._effort.cut or (not found.claimed and self._effort.wasted < WASTED):
@@ -177,7 +169,9 @@ class SparseRun(Run):
                     tried.append(found.status)
                 if not found.claimed:
                     self._refuse_overlap()
-            if self._state is not None and (self._state.force_residual <= ENOUGH or narrow(self._state)):
+            if (now := self._state) is None or doubtful(now):
+                continue
+            if now is before or now.force_residual <= ENOUGH or narrow(now):
                 break
         if best is None:
             self.refuse_conflict()
@@ -255,7 +249,7 @@ class SparseRun(Run):
         self._effort.cut, self._effort.most = False, min(most, self._most)
         answer = replace(self._scaling.scale(candidate.answer), friction_force=None)
         claimed = candidate.claimed or driven or not hasty
-        state = solved_from(self._twin, answer, self._effort, driven, claimed)
+        state = narrowed(solved_from(self._twin, answer, self._effort, driven, claimed), self._effort)
         self._state = state if state.holds else None
         return state
 

@@ -17,16 +17,14 @@ from contactqp.certificate.bounds import REDUNDANT, Bounds, failed_energy, faile
 from contactqp.certificate.energy_bounds import (
     CAUTION,
     NOT_APART,
-    REACH,
     _of_conflict,
     _taken_at_random,
     _taken_by_constraints,
-    diagonal_dominance,
     energy_bounds,
-    reach,
     unique_on,
 )
-from contactqp.linalg.equilibration import equilibrated
+from contactqp.linalg.convexity import diagonal_dominance
+from contactqp.linalg.equilibration import REACH, equilibrated, reach
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.sparse_saddle import ClosedState, SparseSaddle
 from contactqp.model.solution import Answer

@@ -388,6 +388,22 @@ def test_units_of_nine_decades_change_no_energy(seed: int) -> None:
     assert energies[0] == pytest.approx(energies[1], rel=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("seed", "decades", "exact"),
+    [(15, 2.25, 1198.6762781016337), (14, 4.0, 18387.85209827261)],  # corrections narrow it; that of another backend
+)
+def test_an_energy_that_is_not_enclosed_is_narrowed(seed: int, decades: float, exact: float) -> None:
+    """Closed contacts held to 1e-21 of the largest force, which was all at unknowns far away: refused for 5e-8 of J.
+
+    The exact energies are those of `cq.exact`.
+    """
+    solution = cq.solve(wide(seed, 60, decades))
+    lower, upper = solution.certificate.energy_bounds
+    assert solution.certificate.proven
+    assert lower * (1 - 1e-15) <= exact <= upper * (1 + 1e-15)
+    assert upper - lower <= 1e-9 * exact
+
+
 @pytest.mark.parametrize("decades", [0.0, 2.25])
 def test_a_tie_that_is_not_met_passes_in_no_units(decades: float) -> None:
     """One tie was met to 3e-5 of its own lengths, which were nothing beside those of other rows: 1051 for 5785204."""
