@@ -34,14 +34,12 @@ from numpy.typing import ArrayLike
 from contactqp.certificate.coulomb_law import distance_from_law, natural_map
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
-from contactqp.certificate.uniqueness import FORCES, POSSIBLE, UNKNOWN, Uniqueness
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, UNKNOWN, Uniqueness, are_dependent
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.delassus import velocity_of
 from contactqp.linalg.measures import directions, lengths
-from contactqp.linalg.nonnegative import DEPENDENT_ROWS
-from contactqp.linalg.runtime import lapack
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import EPS, TINY, Array, Mask, Vector, own_floating_point
+from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -51,8 +49,8 @@ from contactqp.model.solution import LocalCertificate
 # Operators with a larger asymmetry than this, the tolerance of the verdict, are noted as unsymmetric.
 ASYMMETRIC_BY_ROUNDING = 1e-9
 
-# Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.
-SURELY_INDEPENDENT = 1e-6
+# The size from which sparse products, of which SciPy's calls take some 0.1 ms, are faster than dense ones.
+WORTH_SPARSE_PRODUCTS = 200
 
 
 def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Uniqueness:
@@ -101,30 +99,29 @@ def _reason(problem: LocalProblem, critical: CriticalFriction) -> str:
 
 
 def _dependent(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> bool:
-    d, m = problem.dimension, problem.contacts
-    directions = np.where(stuck[:, None, None], np.eye(d), along[:, None, :])
-    kept = closed[:, None] & (stuck[:, None] | (np.arange(d) == 0))
+    kept = closed[:, None] & (stuck[:, None] | (np.arange(problem.dimension) == 0))
     if not kept.any():
         return False
-    B = sp.bsr_array((directions, np.arange(m), np.arange(m + 1))).tocsr()[kept.ravel()]
-    matrix = (B @ problem.scaled_delassus @ B.T).toarray()
+    pushes = np.where(stuck[:, None, None], np.eye(problem.dimension), along[:, None, :])
+    matrix = _compliance_along(problem, pushes, kept.ravel())
     if problem.joints:
-        joints, scale = problem.joint_scale, np.repeat(problem.contact_scale, d)
-        coupling = B @ (problem.bilateral.toarray() * np.outer(scale, joints))
+        joints, scale = problem.joint_scale, problem.contact_scale[:, None, None]
+        V = problem.bilateral.toarray().reshape(*pushes.shape[:2], -1) * scale * joints
+        coupling = np.matmul(pushes, V).reshape(-1, len(joints))[kept.ravel()]
         inner = problem.bilateral_delassus.toarray() * np.outer(joints, joints)
         matrix = np.block([[matrix, coupling], [coupling.T, inner]])
-    size = np.sqrt(np.maximum(abs(matrix).max(axis=1, initial=0.0), TINY))
-    if not np.isfinite(scaled := matrix / np.outer(size, size)).all():
-        return False  # forces overflow
-    factor, _, failed = lapack().dgetrf(scaled)
-    norm = float(np.linalg.norm(scaled, 1))
-    condition = 0.0 if failed else float(lapack().dgecon(factor, norm)[0])
-    if condition > SURELY_INDEPENDENT:
-        return False
-    # The reciprocal condition in the 1-norm, here from above, is at least an n-th of that in the 2-norm.
-    if len(scaled) * (condition + EPS * abs(factor).max() / max(norm, TINY)) > DEPENDENT_ROWS:
-        condition = float(np.divide(*np.linalg.svd(scaled, compute_uv=False)[[-1, 0]]))
-    return condition <= DEPENDENT_ROWS
+    return are_dependent(matrix)
+
+
+def _compliance_along(problem: LocalProblem, pushes: Array, kept: Mask) -> Array:
+    """Return B'WB of those rows B (d m, d m) that are `kept`, (m, d, d) by contacts."""
+    W, (m, d, _) = problem.scaled_delassus, pushes.shape
+    if m * d > WORTH_SPARSE_PRODUCTS:
+        B = sp.bsr_array((pushes, np.arange(m), np.arange(m + 1))).tocsr()[kept]
+        return np.asarray((B @ W @ B.T).toarray())
+    pushed = np.matmul(pushes, W.toarray().reshape(m, d, m * d)).reshape(m * d, m * d)[kept]
+    matrix: Array = np.matmul(pushes, pushed.T.reshape(m, d, -1)).reshape(m * d, -1)[kept].T
+    return matrix
 
 
 # The smallest scales by which Siconos divides.

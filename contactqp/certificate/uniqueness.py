@@ -27,7 +27,8 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS, width_of
-from contactqp.model.arrays import Array, Indices, Vector, zero_beneath
+from contactqp.linalg.runtime import lapack
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution, Violations
 
@@ -322,3 +323,27 @@ def unique_beside(motions: Sequence[Vector], problem: ContactProblem, of: str) -
     if of == "gap":
         return not moved_by(motions, problem.normal[np.isfinite(problem.gap)])
     return not motions or of not in ("displacement", "slip")
+
+
+# Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.
+SURELY_INDEPENDENT = 1e-6
+
+
+def are_dependent(matrix: Array) -> bool:
+    """Return whether the rows of a matrix (q, q), each in units of its largest entry, depend on each other.
+
+    Singular values decide only where the condition, which is estimated, is near the border. It is False if numbers
+    overflow.
+    """
+    size = np.sqrt(np.maximum(abs(matrix).max(axis=1, initial=0.0), TINY))
+    if not np.isfinite(scaled := matrix / np.outer(size, size)).all():
+        return False
+    factor, _, failed = lapack().dgetrf(scaled)
+    norm = float(np.linalg.norm(scaled, 1))
+    condition = 0.0 if failed else float(lapack().dgecon(factor, norm)[0])
+    if condition > SURELY_INDEPENDENT:
+        return False
+    # The reciprocal condition in the 1-norm, here from above, is at least an n-th of that in the 2-norm.
+    if len(scaled) * (condition + EPS * abs(factor).max() / max(norm, TINY)) > DEPENDENT_ROWS:
+        condition = float(np.divide(*np.linalg.svd(scaled, compute_uv=False)[[-1, 0]]))
+    return condition <= DEPENDENT_ROWS

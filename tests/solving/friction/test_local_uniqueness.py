@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate import local_certificate
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE
 
 KLARBRING = np.array([[1.0, 2.0], [2.0, 5.0]])  # critical coefficient W_NN / |W_NT| = 1/2
@@ -57,6 +58,40 @@ def test_contacts_that_nearly_share_their_rows_need_singular_values_only_near_th
     certificate = cq.certify_local(problem, np.tile([0.5, -0.05, 0.0], 2))
     assert (FORCES in certificate.uniqueness) == (apart < 1e-10)
     assert bool(found) == (apart > 1e-10)
+
+
+def test_the_compliance_along_pushes_is_the_same_by_dense_and_by_sparse_products(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(4)
+    rows, m = rng.normal(size=(15, 15)), 5
+    problem = cq.LocalProblem(delassus=rows @ rows.T, offset=rng.normal(size=15), friction=0.5, dimension=3)
+    pushes, kept = rng.normal(size=(m, 3, 3)), rng.random(15) < 0.5
+    B = np.zeros((15, 15))
+    for i in range(m):
+        B[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = pushes[i]
+    expected = (B @ problem.scaled_delassus.toarray() @ B.T)[np.ix_(kept, kept)]
+    for size in (200, 0):
+        monkeypatch.setattr(local_certificate, "WORTH_SPARSE_PRODUCTS", size)
+        found = local_certificate._compliance_along(problem, pushes, kept)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("joint", "findings"), [(1.0, (FORCES,)), (2.0, ())])
+def test_a_joint_is_among_what_a_contact_may_depend_on(joint: float, findings: tuple[str, ...]) -> None:
+    """A contact and a joint that move alike share their force, unless the joint has a compliance of its own."""
+    problem = cq.LocalProblem(
+        delassus=np.eye(2),
+        offset=[-1.0, 0.5],
+        friction=0.1,
+        dimension=2,
+        bilateral=[[1.0], [0.0]],
+        bilateral_delassus=[[joint]],
+        bilateral_offset=[-1.0],
+    )
+    slides = np.array([[1.0, -0.1]])
+    depends = local_certificate._dependent(problem, np.array([True]), np.array([False]), slides)
+    assert depends == (FORCES in findings)
 
 
 def test_an_unsymmetric_operator_is_said_to_be_so() -> None:
