@@ -255,6 +255,8 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     """
     if problem.friction is None or len(state.closed) > MOST_LINEARISED:
         return None
+    if not len(state.slides):  # friction bounds of sticking contacts have no effect
+        return 0.0
     compliance = contact_compliance(problem, condensation)
     m, mu = problem.contacts, problem.friction
     d, joints = len(compliance.W) // m, len(compliance.J)
@@ -280,8 +282,6 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     right[np.arange(first, n), np.arange(count).repeat(d - 1)] = (mu[slides, None] * direction).ravel()
     if not np.all(np.isfinite(matrix)):
         return None
-    if not count:  # friction bounds of sticking contacts have no effect
-        return 0.0
     try:
         change = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:

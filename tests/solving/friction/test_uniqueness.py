@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate import other_answers
+from contactqp.certificate import other_answers, uniqueness
 from contactqp.certificate.critical_friction import _one_sign, of_operator
 from contactqp.certificate.uniqueness import FORCES, POSSIBLE, SEVERAL, UNKNOWN
 from contactqp.elements.material import Material
@@ -277,6 +277,13 @@ def test_contraction_is_that_of_the_bounds() -> None:
     assert cq.solve(pad(100.0)).certificate.contraction == 0.0
     assert cq.solve(two_masses(12.0)).certificate.contraction == pytest.approx(0.0, abs=1e-12)
     assert cq.solve(rough_truss(friction=0.0)).certificate.contraction is None
+
+
+def test_bounds_of_contacts_that_stick_have_no_effect_and_form_no_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved, solve = [], uniqueness.contact_compliance
+    monkeypatch.setattr(uniqueness, "contact_compliance", lambda *given: solved.append(given) or solve(*given))
+    assert cq.solve(pad(100.0)).certificate.contraction == 0.0
+    assert not solved
 
 
 def test_contraction_in_space_against_the_plain_fixed_point() -> None:
