@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.judging import EPS, REPRESENTABLE, SLACK, Report
 from contactqp.solving.methods import find
+from contactqp.solving.methods.method import ACTIVE_SET, MODELLING_LANGUAGE, QUADRATIC_PROGRAM
 
 # Ratios of bound and true error are taken of errors that are well above rounding: of 1e-14, and of as many roundings of
 # the displacement as that has eps, which is more where bodies move much and strain little.
@@ -92,9 +93,9 @@ def failures(reports: list[Report], methods: Iterable[str]) -> list[str]:
 
 def needed_rate(method: str) -> float:
     entry = find(method.split()[0])
-    if entry.kind == "active set":
+    if entry.kind == ACTIVE_SET:
         return NEEDED_ACTIVE_SET
-    return NEEDED_BACKEND if entry.polish and entry.kind in ("quadratic program", "modelling language") else 0.0
+    return NEEDED_BACKEND if entry.polish and entry.kind in (QUADRATIC_PROGRAM, MODELLING_LANGUAGE) else 0.0
 
 
 def easy(reports: list[Report]) -> list[str]:

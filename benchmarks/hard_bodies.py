@@ -25,6 +25,7 @@ from contactqp.elements.shapes import rectangle
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.solving.methods import find
+from contactqp.solving.methods.method import COMPLEMENTARITY
 
 LARGEST_ERROR = 1e-10
 
@@ -120,7 +121,7 @@ def outcomes(problem: cq.ContactProblem, methods: list[str]) -> Iterator[tuple[s
 
 
 def main(arguments: list[str] | None = None) -> int:
-    polished = [m.name for m in cq.methods() if m.installed and m.polish and m.kind != "complementarity"]
+    polished = [m.name for m in cq.methods() if m.installed and m.polish and m.kind != COMPLEMENTARITY]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--unknowns", type=int, default=8000)
     parser.add_argument("--methods", nargs="+", default=polished, choices=polished, metavar="METHOD")

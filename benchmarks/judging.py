@@ -18,6 +18,7 @@ from benchmarks.problem_families import FAMILIES, family
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.rational import NoSolution, Undecided, floats, rational
 from contactqp.solving.methods import Settings, find
+from contactqp.solving.methods.method import ACTIVE_SET, QUADRATIC_PROGRAM
 
 EPS = float(np.finfo(float).eps)
 WRONG, PER_CONDITION = 1e-6, 100 * EPS
@@ -130,7 +131,7 @@ def attempt(problem: cq.ContactProblem, method: str) -> tuple[Any, BaseException
     """The solution, or None and what was raised."""
     name, _, way = method.partition(" ")
     options: dict[str, Any] = {"update": way, "max_iter": 100} if way else {}  # 100 show whether it converges
-    if find(name).kind == "quadratic program" and "no time limit" not in find(name).note:
+    if find(name).kind == QUADRATIC_PROGRAM and "no time limit" not in find(name).note:
         options["time_limit"] = PATIENCE  # HiGHS cycles for ever on some of these
     for knob in find(name).required:
         options[knob] = 1e4 * _contact_stiffness(problem)
@@ -193,7 +194,7 @@ def _raw_is_wrong(
         errors = truth.errors(solution.raw.displacement, solution.raw.normal_force, solution.raw.tie_force)
         bounds += bounded(f"raw {method}", truth, solution.raw.certificate, errors)
         return bool(solution.raw.claimed and errors.worst > threshold)
-    if find(method.split()[0]).kind == "active set" or isinstance(error, cq.NotConverged):
+    if find(method.split()[0]).kind == ACTIVE_SET or isinstance(error, cq.NotConverged):
         return False
     return truth.errors(solution.displacement, solution.normal_force).worst > threshold
 
@@ -237,7 +238,7 @@ def _without_truth(problem: cq.ContactProblem, method: str, known: str) -> Outco
 def _claims_an_answer(problem: cq.ContactProblem, name: str) -> bool:
     """Whether the method alone, asked about a problem without solution, says that it solved it."""
     method = find(name.split()[0])
-    if not method.exact or method.kind == "active set":
+    if not method.exact or method.kind == ACTIVE_SET:
         return False
     try:
         patient = Settings(time_limit=PATIENCE if "no time limit" not in method.note else None)

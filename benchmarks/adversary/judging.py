@@ -21,6 +21,7 @@ from benchmarks.exact_truth import Truth
 from benchmarks.friction_families import Posed, Units
 from benchmarks.judging import PER_CONDITION, REPRESENTABLE, WRONG, bounded, exact_truth, spoiled
 from contactqp.solving.methods import find
+from contactqp.solving.methods.method import QUADRATIC_PROGRAM
 
 Array = np.ndarray
 # Seconds of the processor within which everything that is asked must be answered, unless `--patience` says another.
@@ -110,7 +111,7 @@ class Judge:
 
 
 def solve(judge: Judge, method: str, **options: Any) -> tuple[Any, Exception | None]:
-    if find(method).kind == "quadratic program" and "no time limit" not in find(method).note:
+    if find(method).kind == QUADRATIC_PROGRAM and "no time limit" not in find(method).note:
         options["time_limit"] = TIME_LIMIT
     fresh = judge.posed.problem.replace(stiffness=judge.posed.problem.stiffness)
     name, patience = (options["algorithm"], ITERATES) if "algorithm" in options else (method, None)

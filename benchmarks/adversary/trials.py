@@ -21,6 +21,7 @@ from benchmarks.adversary.wild import judge_wild
 from benchmarks.bricks import Generator
 from benchmarks.friction_families import Posed
 from contactqp.solving.methods import find
+from contactqp.solving.methods.method import QUADRATIC_PROGRAM
 
 # What is drawn, and how often; large ones by numbers of their own, so that the other trials stay what they were.
 KINDS = {"frictionless": 0.4, "plane": 0.15, "space": 0.1, "wild": 0.15, "files": 0.2, "large": 0.04}
@@ -103,7 +104,7 @@ def _options(rng: Generator, method: str) -> dict[str, Any]:
     options: dict[str, Any] = {}
     if rng.random() < 0.3:
         options["condense"] = bool(rng.random() < 0.5)
-    if find(method).kind == "quadratic program" and rng.random() < 0.4:
+    if find(method).kind == QUADRATIC_PROGRAM and rng.random() < 0.4:
         options |= dict(polish=False, tolerance=float(10.0 ** -rng.integers(2, 10)))
     return options
 

@@ -47,6 +47,7 @@ from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.methods import Settings, algorithm_name, find, of_same_letters, refuse_arguments, registered_name
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+from contactqp.solving.methods.method import ACTIVE_SET
 
 # The energy error relative to the energy of the contact forces: on any number of ranks the displacement agrees with
 # that of one process to 1e-9 in energy; single very soft unknowns may differ by more, relative to their own size.
@@ -166,7 +167,7 @@ def distributed_method(name: str) -> str:
     Raises Unsupported: the method does not exist, or does not solve over ranks.
     """
     method = of_same_letters(name, bounded.METHODS) or registered_name(name)
-    if method in bounded.METHODS or find(method).kind == "active set":
+    if method in bounded.METHODS or find(method).kind == ACTIVE_SET:
         return method
     raise Unsupported(f"{method}: engine 'petsc' has active-set, and {', '.join(bounded.METHODS)} to compare it with")
 

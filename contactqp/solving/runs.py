@@ -57,6 +57,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
+from contactqp.solving.methods.method import ACTIVE_SET
 
 
 class Meter:
@@ -186,7 +187,7 @@ class Run(ABC):
                 certificate = certificate_of(problem, answer)
             certified = time.perf_counter()
             # The active-set method has no raw answer, as refinement is part of it.
-            raw = self._raw(answer.friction_force) if final.polished and self.method.kind != "active set" else None
+            raw = self._raw(answer.friction_force) if final.polished and self.method.kind != ACTIVE_SET else None
         status = contact_status(problem, certificate) if final.contact_status is None else final.contact_status
         solution = Solution(
             problem=problem,
@@ -227,10 +228,6 @@ def _unmet(problem: ContactProblem, solution: Solution) -> bool:
         if np.any((beyond if signed else abs(beyond)) > WITHIN_ROUNDING * meeting):
             return True
     return False
-
-
-# The kind of methods that condense every problem.
-CONDENSES_ITSELF = "active set"
 
 
 class CondensedRun(Run):
@@ -291,7 +288,7 @@ class CondensedRun(Run):
     def work(self, corrections: int) -> Work:
         """Return the work so far, with the number of unknowns of the posed problem."""
         spent = super().work(corrections)
-        if self._whole and self.method.kind != CONDENSES_ITSELF:
+        if self._whole and self.method.kind != ACTIVE_SET:
             return replace(spent, retained=self.problem.dimension)
         return spent
 
@@ -447,7 +444,7 @@ class RunByIteration(Run):
     def __init__(
         self, problem: ContactProblem, method: Method, make_iteration: Callable[[ContactProblem], Iteration]
     ) -> None:
-        if method.kind != "active set":
+        if method.kind != ACTIVE_SET:
             raise Unsupported(
                 f"{method.name}: a body this large is not factorised, only iterated on, by active-set; {_ELSE}"
             )

@@ -66,8 +66,9 @@ from contactqp.solving.methods import (
     registered_name,
     warm_candidate,
 )
+from contactqp.solving.methods.method import ACTIVE_SET, QUADRATIC_PROGRAM
 from contactqp.solving.presolve import PresolvedRun, presolved, solve_among
-from contactqp.solving.runs import CONDENSES_ITSELF, CondensedRun, EnforcedRun, IteratedRun, Run, after
+from contactqp.solving.runs import CondensedRun, EnforcedRun, IteratedRun, Run, after
 from contactqp.solving.sparse_run import SPARSE, SparseRun, by_sparse_systems, has_sparse_systems
 
 # Arguments that all methods share; any other argument is an option of the method.
@@ -136,7 +137,7 @@ def solve(
     warm_start : Solution, optional
         Solution of a problem with the same contacts, from which the method starts.
     algorithm : str, optional
-        The algorithm of friction, for all kinds of methods but "classical enforcement", whose own systems contain
+        The algorithm of friction, for all kinds of methods but CLASSICAL_ENFORCEMENT, whose own systems contain
         stick and slip. In steps of the convex `method`: "tresca" (with the friction bounds of the step before), "aclm"
         (shifted cones; Acary, Cadoux, Lemarechal, Malick 2011); in space Clarabel, SCS and cvxpy take cones, others
         polygons of `facets` sides, `polygon` "inscribed" or "circumscribed". Without convex steps: "newton" (Alart and
@@ -232,7 +233,7 @@ def _solve(
     small = problem.is_small and not os.environ.get(CHOICE)  # nothing costs less than condensing it
     systems = Systems.CONDENSED if small else systems_of(problem)
     if systems is Systems.ITERATED and may_be_factorised(problem):
-        needs_factors = find(method).kind != CONDENSES_ITSELF or condense is True or algorithm not in (None, "tresca")
+        needs_factors = find(method).kind != ACTIVE_SET or condense is True or algorithm not in (None, "tresca")
         if needs_factors:
             with factorised(problem):
                 return solve(problem, method, warm_start=warm_start, **same)
@@ -458,7 +459,7 @@ def _run_friction(
 def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
     if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
         return False
-    return method.kind in (CONDENSES_ITSELF, "quadratic program") and presolved(problem) is not None
+    return method.kind in (ACTIVE_SET, QUADRATIC_PROGRAM) and presolved(problem) is not None
 
 
 def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, _: Any, condense: Any, __: Any) -> Run:
@@ -470,7 +471,7 @@ def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, 
 
 
 def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense: bool | str) -> bool:
-    everywhere = condense is False and method.kind == CONDENSES_ITSELF
+    everywhere = condense is False and method.kind == ACTIVE_SET
     return (systems is Systems.SPARSE if condense == "auto" else everywhere) and has_sparse_systems(method)
 
 

@@ -53,7 +53,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
-from contactqp.solving.runs import CONDENSES_ITSELF, Run, after, described
+from contactqp.solving.methods.method import ACTIVE_SET, MODELLING_LANGUAGE, QUADRATIC_PROGRAM
+from contactqp.solving.runs import Run, after, described
 
 # Backends that identify the closed contacts, tried in this order, each with its tolerance and whether the problem is
 # equilibrated first. Clarabel scales the original problem best, and its factors have the least fill-in with general
@@ -95,7 +96,7 @@ SPARSE = "sparse"  # the name of this route among others
 
 def has_sparse_systems(method: Method) -> bool:
     """Return whether a method may use sparse systems where there are too many contacts for a dense one."""
-    return method.sparse and method.kind in (CONDENSES_ITSELF, "quadratic program", "modelling language")
+    return method.sparse and method.kind in (ACTIVE_SET, QUADRATIC_PROGRAM, MODELLING_LANGUAGE)
 
 
 class SparseRun(Run):
@@ -126,7 +127,7 @@ class SparseRun(Run):
         with on_one_thread():  # nothing dense here is large
             if given is not None:
                 self.candidate = given
-            elif method.kind == CONDENSES_ITSELF:
+            elif method.kind == ACTIVE_SET:
                 self.candidate = self._identified(settings.now)
             elif method.name in ENDS_PROCESSES:
                 if (start := settings.warm_start) is not None:
@@ -398,7 +399,7 @@ def by_sparse_systems(
     error : that of the condensed systems
     """
     found, given = error.solution, None
-    if problem.frictional or method.kind not in ("quadratic program", "modelling language"):
+    if problem.frictional or method.kind not in (QUADRATIC_PROGRAM, MODELLING_LANGUAGE):
         raise error
     if not has_sparse_systems(method) or method.name in ENDS_PROCESSES:
         if not isinstance(found, Solution):

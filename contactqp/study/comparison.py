@@ -28,6 +28,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.model.summary import Printed, RowsOf
 from contactqp.solving.methods import Method, meant_option, registered_name, takes
+from contactqp.solving.methods.method import ACTIVE_SET
 from contactqp.solving.solve import begin, solve
 from contactqp.study import rows
 from contactqp.study.rows import Row, as_dicts, brief_comparison, finite, to_csv
@@ -282,7 +283,7 @@ def _verdict(setting: Setting, outcome: Outcome, errors: Errors | None) -> str:
 def _claimed(setting: Setting, outcome: Outcome) -> bool | None:
     """Return the method's own flag "solved", None for the active set, whose answer is refined."""
     solution = outcome.solution
-    if solution is None or setting.method.kind == "active set":
+    if solution is None or setting.method.kind == ACTIVE_SET:
         return None
     return solution.raw.claimed if solution.raw else not isinstance(outcome.error, NotConverged)
 

@@ -15,6 +15,7 @@ from contactqp.model.arrays import Indices
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array
 from contactqp.solving.methods import Method, find, methods
+from contactqp.solving.methods.method import ACTIVE_SET
 
 # Multiples of the contact stiffness: penalty and perturbation below it do not resist contact, and far above it they
 # lose a digit of the gap to rounding for each digit of accuracy.
@@ -130,7 +131,7 @@ def all_settings(
         yield from ladder(method, "tolerance", own[0] if own else tolerances, "raw")
         return
     yield Setting(method, knob=method.knob or "")
-    if method.polish and method.kind != "active set":
+    if method.polish and method.kind != ACTIVE_SET:
         yield Setting(method, "raw", options={"polish": False})
     if "update" in method.options:
         yield from ladder(method, "iterations", UZAWA_ITERATIONS, "uzawa")
@@ -215,7 +216,7 @@ def condensable(problem: ContactProblem, method: Method) -> bool:
     It makes none to the active set, whose every step is one on the contact unknowns, and none with friction.
     """
     bare = not problem.contacts and not problem.ties
-    if not method.installed or method.kind == "active set" or bare or problem.frictional or iterated(problem):
+    if not method.installed or method.kind == ACTIVE_SET or bare or problem.frictional or iterated(problem):
         return False
     if len(_touched(problem)) < problem.dimension or contacts_are_many(problem):
         return True

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from contactqp.model.arrays import Array
+from contactqp.solving.methods.method import ACTIVE_SET
 from contactqp.study import rows
 from contactqp.study.rows import Row
 
@@ -233,7 +234,7 @@ def _rates(name: str, mine: Sequence[Row]) -> Rates:
 
 def own_answers(tried: Sequence[Row]) -> list[Row]:
     """Return the rows of a method's own answers: none of a method that is approximate or has no flag."""
-    exact = [row for row in tried if row.promises_exact and row.kind != "active set"]
+    exact = [row for row in tried if row.promises_exact and row.kind != ACTIVE_SET]
     return [row for row in exact if row.variant == "raw"] or exact
 
 

@@ -23,7 +23,7 @@ from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import ACTIVE_SET, Method, Settings
 
 # After this many steps the sets alternate, and the safeguard is cheaper.
 PRIMAL_DUAL_STEPS = 40
@@ -245,7 +245,7 @@ def _moved(condensation: Condensation, operator: Delassus, free: Array) -> Mask:
 METHODS = (
     Method(
         name="active-set",
-        kind="active set",
+        kind=ACTIVE_SET,
         solve=solve_active_set,
         solve_condensed=solve_condensed,
         polish=True,

@@ -15,7 +15,7 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import CLASSICAL_ENFORCEMENT, Method, Settings
 from contactqp.solving.methods.penalty import frictional_penalty_loop, penalty_loop
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import (
@@ -265,7 +265,7 @@ def _friction_of(step: Candidate) -> Vector:
 METHODS = (
     Method(
         name=NAME,
-        kind="classical enforcement",
+        kind=CLASSICAL_ENFORCEMENT,
         solve=solve_augmented_lagrangian,
         solve_friction=solve_frictional,
         options=("penalty", "tangential_penalty", "update"),

@@ -29,7 +29,7 @@ from contactqp.linalg.runtime import silenced_output
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import QUADRATIC_PROGRAM, Method, Settings
 
 
 @dataclass(frozen=True)
@@ -407,7 +407,7 @@ def method_of(backend: Backend) -> Method:
     """Return the method that calls a backend, scaled before and polished after the call."""
     return Method(
         name=backend.name,
-        kind="quadratic program",
+        kind=QUADRATIC_PROGRAM,
         solve=partial(solve_quadratic_program, backend),
         polish=True,
         scale=True,

@@ -25,7 +25,7 @@ from contactqp.linalg.measures import own_compliance
 from contactqp.model.arrays import Array, Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import COMPLEMENTARITY, Method, Settings
 from contactqp.solving.methods.textbook_algebra import (
     TEXTBOOK_ROUNDING,
     independent_rows,
@@ -358,7 +358,7 @@ def _sweeps(lcp: Complementarity, force: Vector, settings: Settings) -> tuple[Ve
 METHODS = (
     Method(
         name="lemke",
-        kind="complementarity",
+        kind=COMPLEMENTARITY,
         solve=solve_lemke,
         polish=True,
         scale=True,
@@ -367,7 +367,7 @@ METHODS = (
     ),
     Method(
         name="projected-gauss-seidel",
-        kind="complementarity",
+        kind=COMPLEMENTARITY,
         solve=solve_projected_gauss_seidel,
         polish=True,
         scale=True,

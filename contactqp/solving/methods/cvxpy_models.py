@@ -13,7 +13,7 @@ from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.backends import BACKENDS, backend_options, collected_words, hear_greeting
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import MODELLING_LANGUAGE, Method, Settings
 
 NAME = "cvxpy"
 
@@ -102,7 +102,7 @@ def _iterations(model: Any) -> int | None:
 METHODS = (
     Method(
         name=NAME,
-        kind="modelling language",
+        kind=MODELLING_LANGUAGE,
         solve=solve_modelled,
         polish=True,
         scale=True,

@@ -14,7 +14,7 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import CLASSICAL_ENFORCEMENT, Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
 from contactqp.solving.methods.textbook_algebra import binding_rows, contact_stiffness, solve_bordered
@@ -132,14 +132,14 @@ def _enforce_perturbed_friction(
 METHODS = (
     Method(
         name=NAME,
-        kind="classical enforcement",
+        kind=CLASSICAL_ENFORCEMENT,
         solve=solve_lagrange_multiplier,
         solve_friction=solve_frictional,
         note="the contact forces are unknowns (course chapter, eq. 2.23)",
     ),
     Method(
         name=PERTURBED,
-        kind="classical enforcement",
+        kind=CLASSICAL_ENFORCEMENT,
         solve=solve_perturbed_lagrangian,
         solve_friction=solve_perturbed_frictional,
         springs=("perturbation", "perturbation"),

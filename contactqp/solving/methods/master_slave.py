@@ -11,7 +11,7 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Candidate
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import CLASSICAL_ENFORCEMENT, Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
 from contactqp.solving.methods.textbook_algebra import SingularSystem, binding_rows, independent_rows, solve_linear
@@ -130,7 +130,7 @@ def transformation(rows: Matrix, values: Vector, slaves: Indices) -> tuple[Matri
 METHODS = (
     Method(
         name=NAME,
-        kind="classical enforcement",
+        kind=CLASSICAL_ENFORCEMENT,
         solve=solve_master_slave,
         solve_friction=solve_frictional,
         note="closed contacts and ties are multi-point constraints, slaves eliminated (course chapter, eqs 2.17-2.20)",

@@ -30,12 +30,20 @@ class Settings:
         return self if self.time_limit is None or left is None else replace(self, time_limit=min(self.time_limit, left))
 
 
+# The kinds of methods.
+ACTIVE_SET = "active set"  # our own, which condenses every problem itself
+QUADRATIC_PROGRAM = "quadratic program"
+MODELLING_LANGUAGE = "modelling language"
+COMPLEMENTARITY = "complementarity"
+CLASSICAL_ENFORCEMENT = "classical enforcement"
+
+
 @dataclass(frozen=True)
 class Method:
-    """One entry of the registry: capabilities are declared here and read by `solve`, never tested for by name."""
+    """One entry of the registry: `solve` reads the kind and the capabilities that are stated here, never the name."""
 
     name: str
-    kind: str  # "active set", "quadratic program", "modelling language", "complementarity", "classical enforcement"
+    kind: str  # ACTIVE_SET, QUADRATIC_PROGRAM, MODELLING_LANGUAGE, COMPLEMENTARITY, CLASSICAL_ENFORCEMENT
     solve: Callable[[ContactProblem, Settings], Candidate] = field(repr=False)
     # A function that solves from a condensation, in its retained unknowns; without it the method solves the condensed
     # problem.

@@ -28,7 +28,7 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.coulomb import Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, FreeMotion, Solution
-from contactqp.solving.methods.method import Method, Settings
+from contactqp.solving.methods.method import CLASSICAL_ENFORCEMENT, Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import (
     FrictionalStep,
@@ -152,7 +152,7 @@ def _enforce_friction(
 METHODS = (
     Method(
         name=NAME,
-        kind="classical enforcement",
+        kind=CLASSICAL_ENFORCEMENT,
         solve=solve_penalty,
         solve_friction=solve_frictional,
         springs=("penalty", "tangential_penalty"),

@@ -18,6 +18,7 @@ from contactqp.linalg.exact_algebra import ZERO, Row, dot, inverse_of, solutions
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import Method
+from contactqp.solving.methods.method import ACTIVE_SET, COMPLEMENTARITY
 from contactqp.study.truth import Errors, Truth
 
 Rows = list[Row]
@@ -258,7 +259,7 @@ _OF_METHOD = {
     "lagrange-multiplier": SADDLE,
     "master-slave": REDUCED,
 }
-_OF_KIND = {"active set": PLAIN, "complementarity": DELASSUS}
+_OF_KIND = {ACTIVE_SET: PLAIN, COMPLEMENTARITY: DELASSUS}
 
 
 def system_of(method: Method, variant: str) -> str:
