@@ -440,11 +440,14 @@ def _free_motions(problem: ContactProblem, condensation: Condensation, saddle: S
 def _left_along(
     problem: ContactProblem, condensation: Condensation, motions: Vector, load: Extended, tied: bool
 ) -> float:
-    """Bound the response, in the energy norm, to the rounding of a load balanced by motions (n, q) or ties.
+    """Return a bound of the response, in the energy norm, to the error of taking Z Z'f, or what ties balance, from f.
 
-    Orthonormal motions Z are accurate to a few eps, or to their resistance by ties, and so is Z Z'f, which is
-    subtracted from a load f, and the part balanced by ties. The response to the error is at most a multiple of |D (|f|
-    + |Z||Z|'|f|)| / sqrt(e), with D = 1/sqrt(K_jj) and e the least energy of a motion that has strain.
+    Unknown by unknown it is at most a (|f| + |Z||Z|'|f|), if the orthonormal motions Z (n, q) are accurate to a: a few
+    eps, or the resistance of ties to them where that is larger. The response to it is at most
+
+        a |D (|f| + |Z||Z|'|f|)| / sqrt(e),    D = 1/sqrt(K_jj),
+
+    with e the least energy of a motion that has strain.
     """
     held = tied and problem.ties > 0
     if not (motions.shape[1] or held):

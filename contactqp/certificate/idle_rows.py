@@ -54,7 +54,7 @@ _BY_CONTACT = ("normal_force", "friction_force", "gap", "slip", "friction", "sli
 class ActingRows:
     """The contacts and ties whose rows are not zero, and the problem with these alone.
 
-    `repeats` are ties that repeat others, with these, left out for derivatives.
+    `repeats` has a tie that repeats another one, and that other one, in pairs; derivatives leave the first out.
     """
 
     whole: ContactProblem

@@ -72,7 +72,10 @@ MANY = 4
 @click.option("--verbose", is_flag=True, help="Print whole tables, and every claim about every method.")
 @click.option("--quiet", is_flag=True, help="Print what is not met or has no answer, and no more.")
 @click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Cases side by side; of four and more as many as cores."
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Cases solved side by side. By default one; of four and more one for each core.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def run_command(

@@ -68,12 +68,11 @@ def missing() -> list[str]:
     return [name for name in ("petsc4py", "mpi4py") if importlib.util.find_spec(name) is None]
 
 
-# Matrices in blocks of three have one column number for nine values, so that products take half the time; but PETSc's
-# multigrids and factorisations accept only single rows.
-
-
 def block_matrix(comm: Any, rows: sp.bsr_matrix) -> Any:
     """Make a PETSc.Mat from the rows of each rank over the unknowns of all ranks. Collective.
+
+    Blocks of three have one column number for nine values, and products take half the time. PETSc's multigrids and
+    factorisations take single rows alone (`aij_copy`).
 
     Returns
     -------

@@ -11,6 +11,7 @@ from contactqp.elements.nodal_pressure import faceting_notes, from_areas, tribut
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.surface import (
+    OVERLAP,
     Surface,
     check_apart,
     check_distances,
@@ -23,8 +24,6 @@ from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index, own_floating_point
 
-# As node to segment: meshes of round bodies that fit exactly overlap by a few per cent of their facets.
-OVERLAP = 0.05
 # A node with less than this part of its tributary area covered has no multiplier, as its row would be redundant.
 COVERED = 0.05
 

@@ -63,7 +63,7 @@ class Segments:
 
 
 def segments(slave: Surface, master: Surface, reach: float | None) -> Iterator[Segments]:
-    """Return all segments between two surfaces of linear facets, computed for some slave facets at a time.
+    """Yield the segments between two surfaces of linear facets, in parts: each has those of some slave facets.
 
     Raises InvalidProblem: two master facets behind each other cover the same part of a slave facet.
 

@@ -57,7 +57,7 @@ from contactqp.model.problem_data import ReadOnly
 GAUSS_POINTS = 5
 # The shape functions whose integral is zero (tri6) or negative (quad8) at the corners.
 NOT_POSITIVE = ("tri6", "quad8")
-# Relative errors of the pressure from here on are noted.
+# A note is written if facets change the pressure by this part of it or more.
 NOTABLE = 0.1
 # Cosine of 30 degrees: a facet's normal that deviates more from the mean of its neighbours' marks a true edge.
 EDGE = np.cos(np.pi / 6)
@@ -160,14 +160,13 @@ def _normals_at(surface: Surface, xi: Array) -> Array:
 
 
 def faceting_notes(slave: Surface, master: Surface, gap: Array) -> tuple[str, ...]:
-    """Return a note where both sides are curved, do not match, and their facets change the pressure by a tenth or
-    more.
+    """Return a note if both sides are curved, their facets do not match, and these change the pressure by NOTABLE.
 
-    Facets of length L that are off by the sagitta f = L theta / 8, with the angle theta = L / R that they span, overlap
-    by about f more where a corner meets the middle of another. Over a length L that takes the pressure E f / L, while
-    to close a gap or interference g of the bodies takes E g / R. From node to node the pressure changes by the part
-    (f / theta) / g of that, though its mean by f / g alone. Quadratic facets are off by what is left of the kinks
-    between them (`deviation`).
+    A facet of length L on a circle of radius R spans the angle theta = L / R, and its middle is off the circle by the
+    sagitta f = L theta / 8. Where its middle meets the corner of another facet, the two overlap by about f too much.
+    That changes the pressure by about E f / L. To close a gap or interference g of the bodies takes E g / R. The ratio
+    of the two is (f / theta) / g: by this part the pressure changes from node to node, and its mean by f / g. Of
+    quadratic facets f follows from the kinks between them (`deviation`).
     """
     largest = float(np.max(np.abs(gap), initial=0.0))
     errors = deviation(slave), deviation(master)
@@ -243,8 +242,8 @@ def nodes_over(slave: Surface, master: Surface) -> Index | None:
 
 # A node is on the axis of symmetry if it is nearer to it than so many diameters of its facet.
 ON_AXIS = 1e-9
-# The largest change from a mean to the value at the node, relative to the mean, so that oscillating forces cannot give
-# a tensile or zero pressure where a contact force is positive.
+# A pressure at a node differs from the mean around it by at most this part of the mean: a positive contact force then
+# never gives a pressure of zero or below, even if the forces oscillate from node to node.
 LARGEST_CHANGE = 0.5
 # Offsets of less than this part of the distances between the middles are rounding, as are the squares of spreads.
 ROUNDING_OF_OFFSETS = 1e-12
@@ -308,7 +307,7 @@ def nodal_pressure(
     nodes : (p,) array of int
         Ascending.
     covered : (facets,) array, optional
-        Which part of each facet has a partner [-]; by default all of them all.
+        The part of each facet that has a partner [-]; by default 1.
     uneven : bool
         Whether the forces are those of nodes on facets of another mesh: quadratic facets have the linear functions of
         their corners, whatever their kind, and D, which would enlarge what is uneven at the ends, is left out.

@@ -24,6 +24,7 @@ from contactqp.elements.nodal_pressure import (
 from contactqp.elements.obstacle import tangent_frames
 from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
 from contactqp.elements.surface import (
+    OVERLAP,
     FacetKind,
     Surface,
     bounding_balls,
@@ -324,8 +325,6 @@ def _newton_step(kind: FacetKind, positions: Array, points: Array, xi: Array, al
     return solve_small(hessian, gradient)
 
 
-# Polygons of two round bodies that fit, a shaft in its bore, overlap by h^2 / (8 R): 5 % of h as long as h < 0.4 R.
-OVERLAP = 0.05
 # Gauss points per direction on a facet over the end of the master surface, which give its covered part to a tenth.
 POINTS = 8
 

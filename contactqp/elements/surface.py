@@ -25,6 +25,9 @@ _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _P2 = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 # A facet is degenerate if its surface element is below this part of its diameter squared (2D: of its diameter).
 FLAT = 1e-10
+# Sides may overlap by this part of the length h of a facet: the polygons of two round bodies that fit, a shaft in its
+# bore, overlap by h^2 / (8 R), which is 5 % of h as long as h < 0.4 R.
+OVERLAP = 0.05
 # The range of lengths of a surface, whose fourth powers must not overflow.
 SMALLEST, LARGEST = 1e-75, 1e75
 

@@ -20,10 +20,8 @@ from contactqp.exchange.files import Ledger, Path, read_bytes, refuse_utf_16, te
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import ContactProblem
 
+# The fields that CalculiX prints at nodes.
 DISPLACEMENT, FORCE, CONTACT = "displacement", "force", "contact"
-
-
-# The fields that CalculiX prints at nodes: displacements, forces and contact pressures at one time.
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from contactqp.model.solution import Answer
 MAX_SWEEPS = 12
 # Forces below this part of the largest are rounding errors of refinement.
 INVISIBLE = 1e-22
-# The least contraction of a solve in double precision.
+# The smallest ratio of successive corrections that a solve in double precision is trusted with.
 LEAST_CONTRACTION = EPS
 # Corrections below this part of the answer are rounding of twice double precision and do not measure contraction.
 ROUNDED_AWAY = 2.0**-90

@@ -20,7 +20,7 @@ class ContactState(IntEnum):
     """The state of a contact; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
 
     The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
-    friction, for which stick and slip are not distinguished.
+    friction where states are told to people; where combinations of states are solved it is SLIP_ON, with mu l_N = 0.
     """
 
     SLIP_BACK = -1
@@ -38,7 +38,7 @@ Status = NDArray[np.int8]
 def plane_states(friction: Any) -> tuple[int, ...]:
     """Return the possible states of a contact in the plane with this coefficient of friction.
 
-    Without friction a closed contact is represented by SLIP_ON, whose friction force is then zero.
+    Without friction these are OPEN, and SLIP_ON for a closed contact: its friction force mu l_N is zero.
     """
     return (OPEN, STICK, SLIP_BACK, SLIP_ON) if friction > 0 else (OPEN, SLIP_ON)
 

@@ -64,7 +64,7 @@ DENSE = 600
 MOST_MOTIONS = 12
 # The weight of corrections of a rotation, relative to that of changes of the largest entries.
 TURNED = 10.0
-# Refinements of the change; the range of tolerances of LSQR, and its iterations.
+# The refinements of the change; the smallest and the largest tolerance of LSQR in one, and its most iterations.
 REFINEMENTS, SOLVED, HARDLY_SOLVED, MOST_STEPS = 8, 1e-8, 0.1, 1000
 # The first half of the refinements by LSQR are damped against noise; as they reduce the energy of rotations only by a
 # tenth each, the others are not.

@@ -63,7 +63,7 @@ def read_only(value: T) -> T:
 
 
 class ReadOnly:
-    """A frozen dataclass whose arrays are read-only, also after unpickling and copying."""
+    """The base of frozen dataclasses that makes their arrays read-only, also after unpickling and copying."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
@@ -242,7 +242,7 @@ def csr_rows(matrix: Any) -> Any:
 def rows_of_dense(dense: Array, kind: Any) -> Any:
     """Return an array in a CSR format, its entries in the order of the rows, without explicit zeros."""
     row, column = dense.nonzero()
-    rows = twin_of(_without_entries(kind, dense.shape))  # its checked constructor would take longer than the rest
+    rows = twin_of(_without_entries(kind, dense.shape))  # SciPy's constructor checks, which takes longer than all below
     rows.indptr = np.zeros(len(dense) + 1, dtype=np.int32)
     np.bincount(row, minlength=len(dense)).cumsum(out=rows.indptr[1:])
     rows.data, rows.indices = dense[row, column], column.astype(np.int32)

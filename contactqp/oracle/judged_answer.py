@@ -250,7 +250,7 @@ def read_given(
     displacement, normal_force, friction_force, tie_force
         The parts of the answer as another code gives them, None where it gives none.
     compression : the sign of compression in its normal forces, "positive" or "negative"
-    pressure_area : float or (m,) array, optional
+    pressure_area : (m,) array, optional
         The areas that turn its pressures and tractions into forces [length^2].
     dof_map, contact_map : sequences, optional
         The place of each unknown and contact of the problem in what was given, or its name there.

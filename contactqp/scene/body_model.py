@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements import loads, solid
 from contactqp.elements.material import Material
 from contactqp.elements.mesh import Mesh
-from contactqp.elements.mortar import OVERLAP, pair_mortar
+from contactqp.elements.mortar import pair_mortar
 from contactqp.elements.nodal_pressure import nodal_pressure
 from contactqp.elements.node_to_segment import pair_node_to_segment
 from contactqp.elements.obstacle import tangent_frames
@@ -28,7 +28,7 @@ from contactqp.elements.pairing import Pairing, doubt_of_side, pair_scalar, pair
 from contactqp.elements.solid import Membrane, stress_at_nodes
 from contactqp.elements.structure import Part, Structure, System
 from contactqp.elements.structure import Support as Held
-from contactqp.elements.surface import Surface, diameters
+from contactqp.elements.surface import OVERLAP, Surface, diameters
 from contactqp.errors import InvalidProblem, SceneError
 from contactqp.model.arrays import BUILD, Array, Index, Mask, Vector, stage
 from contactqp.model.problem import ContactProblem, Units

@@ -40,7 +40,7 @@ from contactqp.model.solution import Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings
 from contactqp.solving.runs import Run
 
-# The number of random hashes by which rows are compared before their entries are.
+# The seed of the random weights of the columns; rows with equal weighted sums have their entries compared.
 SEED = 0
 # The most names of rows in a note.
 NAMED = 8

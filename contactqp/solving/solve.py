@@ -76,8 +76,7 @@ OF_EVERY_METHOD = ("tolerance", "max_iter", "time_limit", "condense", "polish", 
 # Where the answer of the default method is refused, other exact methods are tried in this order: Lemke's pivots, which
 # need no anchors for floating bodies; the textbook systems of Lagrange multipliers; Clarabel; and sparse systems, which
 # come first where constraints outnumber the unknowns or MANY_PIVOTS. The number of pivots is limited to PIVOTS plus
-# PIVOTS_OF_A_ROW for each constraint, and beyond MOST_PIVOTS constraints, where each takes long, pivoting is left out.
-# Sparse systems that come last are limited to SYSTEMS plus one for each constraint.
+# PIVOTS_OF_A_ROW for each constraint; there is none beyond MOST_PIVOTS. Last sparse systems: SYSTEMS plus one for each.
 PIVOTING = ("lemke", "lagrange-multiplier")
 MANY_PIVOTS, MOST_PIVOTS, PIVOTS, PIVOTS_OF_A_ROW, SYSTEMS = 100, 150, 200, 2, 20
 # With friction, other algorithms are tried, each of which arrives at a combination of open, stick and slip differently.
@@ -365,7 +364,7 @@ def _in_other_units(near: NearOne, method: str, warm_start: Any, **same: Any) ->
 def of_problem(near: NearOne, found: Solution) -> Solution:
     """Convert a solution in units near one to the units of the problem, and certify it there.
 
-    Raises InvalidProblem, NotCertified: the answer, or a gap that it closes, is beyond doubles, or is below them.
+    Raises InvalidProblem, NotCertified: a number of the answer, or a gap that it closes, overflows or underflows there.
     """
     answer, raw = near.answer_of(found), None if near.whole.frictional else found.raw
     certificate = certificate_of(near.whole, answer, found.certificate.tolerance, found.certificate.error_tolerance)

@@ -79,8 +79,7 @@ ALMOST, OF_NEARLY_DEPENDENT = "AlmostSolved", {"static_regularization_constant":
 # From this number of constraints on, a conflict is first searched by Clarabel, in at most this many programs, each from
 # the displacement of the one before, as it cannot recognise an overlap below its tolerance.
 MANY_ROWS, OVERLAPS, OVERLAPPING = 10_000, 3, 1e-9
-# Status texts of backends for infeasible constraints and for unbounded energies.
-INFEASIBLE = "nfeasible"
+INFEASIBLE = "nfeasible"  # in what backends call conflicts (primal infeasible) and unbounded energies (dual infeasible)
 # QPALM may crash (segmentation fault) if its factorisation breaks down, as for a floating chain at 1e10 N/m, so it
 # solves the equilibrated problem and is not run again after condensed systems have failed.
 ENDS_PROCESSES = ("qpalm",)

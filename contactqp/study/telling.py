@@ -192,7 +192,7 @@ def _close_around(values: Sequence[float]) -> list[float]:
 
 
 def _fanned(exact: Sequence[Spot], across: Sequence[float]) -> tuple[dict[Spot, int], dict[Spot, float]]:
-    """Return in which row of the grey band each point stands, from the top, and how far away the middle of its name.
+    """Return the row of the grey band of each point, counted from the top, and the distance of its name's middle [px].
 
     Points of exact answers have no height of their own: each stands in the first row where it and its name have room.
     The first point of a method there has its name beside it, right of it or left [px]; what finds no row has none.

@@ -43,7 +43,7 @@ def test_parts_may_be_written_in_instances(tmp_path: pathlib.Path) -> None:
 
 
 MISTAKES = {
-    "a part that is not there": ("part=Cube\n*End", "part=Cub\n*End", "a part that stands further up, got 'CUB'"),
+    "a part that is not there": ("part=Cube\n*End", "part=Cub\n*End", "a part that is defined above, got 'CUB'"),
     "a part twice": ("*Assembly, ", "*Part, name=Cube\n*End Part\n*Assembly, ", "CUBE stands twice"),
     "a part without an end": ("*End Part\n", "", "*ASSEMBLY: expected it by itself"),
     "an assembly without an end": ("*End Assembly\n", "", "expected *END ASSEMBLY before the end of the deck"),

@@ -123,7 +123,7 @@ MISTAKES = {
     "an amplitude that is not there": (
         "*BOUNDARY\nTOP",
         "*BOUNDARY, AMPLITUDE=UP\nTOP",
-        "expected an amplitude that stands further up, got 'UP'",
+        "expected an amplitude that is defined above, got 'UP'",
     ),
     "friction without a bound": ("1e4\n*CONT", "1e4\n*FRICTION, ROUGH\n*CONT", "ROUGH is not offered; state a coeff"),
     "a rigid line": ("NAME=BELOW", "NAME=BELOW, TYPE=SEGMENTS", "'SEGMENTS'; for a rigid surface take elements whose"),

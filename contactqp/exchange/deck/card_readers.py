@@ -81,7 +81,7 @@ def read_elements(model: DeckModel, card: Card) -> None:
     group = Elements(kind, table[:, 0], table[:, 1:], card.head.place)
     dimensions = {one.dimension for one in (*model.elements, group)} - {0}
     if len(dimensions) > 1:
-        others = "; expected one of both: of a mesh with its edges and faces as elements, those of bodies alone"
+        others = "; expected elements of one dimension: of a mesh that lists edges and faces too, those of the bodies"
         raise card.refuse(f"elements {kind} beside others of another number of dimensions{others}")
     _refuse_twice(card, "element", np.concatenate([*(one.labels for one in model.elements), group.labels]))
     model.elements.append(group)
@@ -124,7 +124,7 @@ def _find(among: dict[str, T], card: Card, line: Line, name: str, what: str) -> 
     near = get_close_matches(name, list(among), n=1)
     nearest = f"; the nearest one is {near[0]}" if near else f"; it has {', '.join(among)[:200] or 'none'}"
     raise card.wrong(
-        f"{'an' if what[0] in 'aei' else 'a'} {what} that stands further up", f"{name[:40]!r}{nearest}", line
+        f"{'an' if what[0] in 'aei' else 'a'} {what} that is defined above", f"{name[:40]!r}{nearest}", line
     )
 
 

@@ -121,7 +121,7 @@ def _part_of(card: Card, parts: dict[str, list[Card]]) -> Sequence[Card]:
         return []
     name = card.parameter("PART")
     if name not in parts:
-        raise card.wrong("a part that stands further up", f"{name[:40]!r}; it has {', '.join(parts)[:200] or 'none'}")
+        raise card.wrong("a part that is defined above", f"{name[:40]!r}; it has {', '.join(parts)[:200] or 'none'}")
     return parts[name]
 
 

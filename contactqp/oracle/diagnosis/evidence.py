@@ -23,9 +23,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS, Answer, Certificate, Solution, Violations
 from contactqp.oracle.foreign.judging import GivenAnswer, certify_given
 
-# The kinds of findings.
-
-# Causes, which explain a whole answer.
+# The kinds of findings: causes, which explain a whole answer.
 CAUSES = {
     "sign": "forces of the opposite sign",
     "displacement-sign": "displacements of the opposite sign",
@@ -33,7 +31,7 @@ CAUSES = {
     "tie-sign": "tie forces of the opposite sign",
     "unit": "another unit of length or force",
     "half": "a factor of two",
-    "radian": "a ring instead of a radian of it, or the other way round",
+    "radian": "forces of the full circle instead of those of one radian, or the other way round",
     "scaled": "a factor without a name",
     "zero": "a part was left at zero",
     "permuted": "contacts in another order",
@@ -75,7 +73,7 @@ CAUSES = {
     "associated": "the associated relaxation, in which sliding dilates",
     "pyramid": "friction bounded direction by direction",
 }
-# Violations and notes.
+# Kinds of findings that are no causes: violations and notes.
 SYMPTOMS = {
     "not-finite": "NaN or infinity",
     "tension": "a contact pulls",
@@ -108,8 +106,6 @@ class Finding:
     def __str__(self) -> str:
         return self.text
 
-
-# Violations of an answer in words, without causes.
 
 # The most contacts named one by one.
 NAMED = 3

@@ -195,8 +195,6 @@ def _of_angle(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Expl
 POWERS, NEAR = (3, 6), 0.3
 # Without another mistake: the largest error after undoing, and the least factor by which undoing reduces it.
 ROUGHLY, NEARER = 0.1, 20.0
-# Answers with a wrong sign or unit and another mistake, which is looked for after undoing the first.
-
 # The least number of values for recognising signs and powers of ten.
 ENOUGH = 3
 

@@ -145,21 +145,20 @@ def system_of(data: RationalProblem, combination: Combination) -> System:
     )
 
 
-# The contact and tie forces of a displacement in rational numbers: all of them, and those of least norm.
-#
-# A displacement determines the contact states: contacts without gap have forces, with friction along their slip, or
-# within the cone if they do not slip. The remaining conditions are linear,
-#
-#     P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
-#
-# with P the rows along which forces act (`contactqp.oracle.exact.rational_equilibrium`).
-
 NO_RANGE: Range = (fraction(fmpq(0)), fraction(fmpq(0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Forces (k + c + b, 1) of a system, its contact forces of least norm and then its ties'."""
+    """The contact and tie forces of a displacement: those of least norm (k + c + b, 1), contact forces before ties'.
+
+    A displacement determines the states of contacts: those without gap have forces, with friction along their slip, or
+    within the cone if they do not slip. The remaining conditions are linear,
+
+        P'l = f - K u,    l_N >= 0,    mu l_N - |l_T| >= 0 where it sticks,
+
+    with P the rows along which forces act.
+    """
 
     system: System
     forces: fmpq_mat

@@ -30,7 +30,7 @@ class Measure:
 
     meaning: str
     kinds: tuple[str, ...] = ()  # of its value, see units.KINDS; none for words
-    words: tuple[str, ...] = ()  # that its value may be of; several are joined by "; ", and all must be found
+    words: tuple[str, ...] = ()  # of which its value consists; several are joined by "; ", and all must be found
     at: str | None = None  # what ``at`` names: "unknown", "contact", "support", "tie", "body" or an element's noun
     along: str | None = None  # what ``along`` names: a second "unknown", or an "axis"
     near: bool = False  # ``near`` is a point: the node there is meant

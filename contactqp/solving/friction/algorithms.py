@@ -116,7 +116,7 @@ def register(algorithm: Algorithm) -> None:
     ALGORITHMS[algorithm.name] = algorithm
 
 
-# Newton's method starts from iterates at these counts, growing by a half.
+# Newton's method starts from the iterate of this number, then from later ones, each number half as large again.
 FIRST_POLISH = 4
 # It also starts from iterates with an error below this, in the scale of the local form.
 NEARLY = 1e-6

@@ -172,8 +172,6 @@ def last_candidate(
 ) -> Candidate:
     """Return the last step of a loop with the reason of its end; it is claimed if no contact has a wrong sign.
 
-    `together` is how many iterations changed all wrong contacts at once, None if all did.
-
     Parameters
     ----------
     name : the method
@@ -378,7 +376,7 @@ def _warm_set(problem: ContactProblem, settings: Settings) -> Mask:
 
 
 def _changes(sets: Sets, sizes: Sizes, step: Step, stiffness: float | Vector) -> tuple[Mask, Mask]:
-    """Open contacts that penetrate and closed contacts in tension, both by more than rounding."""
+    """Return the open contacts that penetrate and the closed contacts in tension, both by more than rounding."""
     problem, closed = sets.problem, step.bound
     if problem.contacts == 0:
         return closed, closed

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 LINES = 10.0
 # Redraws of a bar per second; more would disturb timings.
 REDRAWS = 2.0
-# For so many seconds of work costs in seconds are believed: the first cells of a part may be the least ones, whose time
-# is that of calling a process and says nothing of the large ones after them.
+# Predicted times count as much as this many seconds of measured ones: the first cells of a part may be the smallest,
+# most of whose time is that of calling a process, which says nothing of the large ones after them.
 BELIEVED = 5.0
 
 

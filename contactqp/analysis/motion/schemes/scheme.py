@@ -86,8 +86,8 @@ class Body(ReadOnly):
     def starting(self, displacement: Vector, velocity: Vector, load: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the acceleration, normal forces (m,) and friction ((d-1) m,) of bodies in contact at the start.
 
-        M a + E_N'l_N + E_T'l_T + A'nu = f - K u, E_N a <= 0 at contacts that are closed and do not move apart or
-        together, where Coulomb's law has the slip E_T (v + h a), on the unknowns with mass.
+        On the unknowns with mass, M a + E_N'l_N + E_T'l_T + A'nu = f - K u. At contacts that are closed and neither
+        approach nor part, E_N a <= 0, and Coulomb's law holds with the slip velocity E_T (v + h a) after a step.
         """
         problem, force = self.problem, load - self.stiffness @ displacement
         room, approach = problem.gap - problem.normal @ displacement, problem.normal @ velocity
