@@ -388,8 +388,9 @@ def _entries_of(matrix: Any, kind: int) -> Any:
     entries.sort_indices()
     if kind == UNSYMMETRIC:
         return entries
-    rows, filled = np.arange(entries.shape[0]), np.flatnonzero(np.diff(entries.indptr))
-    missing = np.setdiff1d(rows, filled[entries.indices[entries.indptr[filled]] == filled])
+    filled, stored = np.flatnonzero(np.diff(entries.indptr)), np.zeros(entries.shape[0], dtype=bool)
+    stored[filled] = entries.indices[entries.indptr[filled]] == filled
+    missing = np.flatnonzero(~stored)
     if not missing.size:
         return entries
     starts = entries.indptr + np.searchsorted(missing, np.arange(len(entries.indptr)))

@@ -69,7 +69,9 @@ class TrailingBlock:
         self._springs = SPRING / self._scale[retained] ** 2
         self.half_substitutions = self._responses = 0
         scaled = sp.csr_matrix(sp.diags(self._scale) @ stiffness @ sp.diags(self._scale))
-        interior = np.setdiff1d(np.arange(scaled.shape[0]), retained)
+        eliminated = np.ones(scaled.shape[0], dtype=bool)
+        eliminated[retained] = False
+        interior = np.flatnonzero(eliminated)
         interior = interior[fill_reducing_order(scaled[interior][:, interior])]
         self._order = np.concatenate([interior, retained])
         matrix = sp.csc_matrix(scaled[self._order][:, self._order])

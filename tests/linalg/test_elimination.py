@@ -448,6 +448,17 @@ def test_what_pardiso_and_the_saddle_points_are_given_is_the_matrix(form):
         assert np.array_equal(with_added_diagonal(known, added).toarray(), expected)
 
 
+def test_pardiso_gets_the_diagonal_whole_without_a_search_among_all_unknowns(monkeypatch) -> None:
+    """NumPy's unique costs a tenth of a factorisation of 130 000 unknowns, whose rows are in order already."""
+    half = sp.random(60, 60, 0.1, random_state=1)
+    matrix = sp.csr_array(half + half.T)
+    assert np.count_nonzero(matrix.diagonal()) < 60
+    monkeypatch.setattr(np, "setdiff1d", None)
+    entries = pardiso._entries_of(matrix, pardiso.POSITIVE_DEFINITE)
+    assert np.array_equal(entries.toarray(), np.triu(matrix.toarray()))
+    assert np.array_equal(entries.indices[entries.indptr[:-1]], np.arange(60))
+
+
 def test_a_diagonal_below_the_normal_floats_is_scaled_without_overflow():
     matrix = np.outer([1.0, 0.6, 2e-160], [1.0, 0.6, 2e-160])
     assert 0 < matrix[2, 2] < np.finfo(float).tiny
