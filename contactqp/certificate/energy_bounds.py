@@ -26,7 +26,7 @@ and N, all in equilibrated units. With dependent rows, these are the nearest of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
@@ -51,13 +51,11 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import SuperLU
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
-from contactqp.linalg.least_norm import by_corrections, without_needless_forces
+from contactqp.linalg.least_norm import by_corrections, inverse_of_gram, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
-from contactqp.linalg.schur import with_pivots
 from contactqp.linalg.sparse_saddle import (
     MET_TOGETHER,
     REGULARISATIONS,
@@ -85,8 +83,6 @@ ROUNDED = 1e-26
 MOST_DENSE, CAUTION = 500, 4.0
 # The number of random forces by which the sizes of many motions are estimated.
 PROBES = 24
-# The most entries of E E', and its least pivot with unit diagonal.
-MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 DECIDED = "what rounding of the data decides is not proven"
 # An answer is accepted if it is this close to a solution up to such a conflict.
 NEAR = 1e-6
@@ -299,28 +295,11 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: floa
     count, n = rows.shape
     weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1))) * distance])
     forces = np.random.default_rng(0).standard_normal((n, PROBES))
-    solve = _inverse_of_gram(rows)
+    solve = inverse_of_gram(rows)
     if solve is None:
         return np.full((count, 2), np.inf)
     answered = [np.column_stack([solve(one) for one in (rows @ (weight[:, None] * forces)).T]) for weight in weights.T]
     return np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
-
-
-def _inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
-    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
-
-    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
-    """
-    n = rows.shape[1]
-    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
-        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
-        if gram.smallest_pivot > WELL_APART:
-            return gram.solve
-    try:
-        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
-    except BackendFailed:
-        return None
-    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
@@ -347,11 +326,17 @@ def doubtful(state: ClosedState) -> bool:
     return mostly_bare(state.problem) and not _width(state) <= DOUBTFUL * _energy(state)[1]
 
 
+def contradictory(state: ClosedState) -> bool:
+    """Return whether the closed contacts and ties of a program conflict by rounding, which those of others may not."""
+    return mostly_bare(state.problem) and state.length_residual > MET_TOGETHER
+
+
 def nearer(state: ClosedState, before: ClosedState) -> bool:
-    """Return whether a state has far smaller residuals, or narrower bounds beside doubtful ones and no new conflict."""
-    if not doubtful(before):
+    """Return whether a state has far smaller residuals; beside a doubtful one, no conflict or narrower bounds."""
+    if not (doubtful(before) or contradictory(before)):
         return state.better_than(before, WORTH_ANOTHER)
-    return state.length_residual <= max(before.length_residual, MET_TOGETHER) and _width(state) < _width(before)
+    own, last = contradictory(state), contradictory(before)
+    return (own < last and not doubtful(state)) or (own <= last and _width(state) < _width(before))
 
 
 def narrowed(state: ClosedState, effort: Effort) -> ClosedState:

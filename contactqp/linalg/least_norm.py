@@ -4,23 +4,24 @@ that change by single contacts.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
 from contactqp.linalg.equilibration import rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import connected_parts, right_singular
+from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.measures import lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, LESS, by_strict_programs, highs, shift_within_gaps
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
-from contactqp.linalg.schur import factorised
+from contactqp.linalg.schur import factorised, with_pivots
 from contactqp.linalg.sparse_saddle import (
     REGULARISATIONS,
     SIGNED,
@@ -150,11 +151,31 @@ def least_solution(rows: Any, right: Vector) -> Vector:
     found, last = np.zeros(q), np.inf
     for _ in range(REFINEMENTS):
         left = right / lengths - unit @ found
-        size = float(np.max(abs(left), initial=0.0))
-        if not 0 < size < last:
+        if not 0 < (size := float(np.max(abs(left), initial=0.0))) < last:
             break
         found, last = found + solve(np.concatenate([np.zeros(q), left]))[:q], size
     return np.asarray(found)
+
+
+# The most entries of E E', and its least pivot with unit diagonal.
+MOST_ENTRIES, WELL_APART = 1e7, 1e-6
+
+
+def inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
+    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
+
+    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
+    """
+    n = rows.shape[1]
+    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
+        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
+        if gram.smallest_pivot > WELL_APART:
+            return gram.solve
+    try:
+        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
+    except BackendFailed:
+        return None
+    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]
 
 
 # The number of rows up to which weights are computed by dense algebra, and corrections for more rows.
@@ -288,8 +309,7 @@ def by_dual_steps(state: ClosedState, effort: Effort) -> ClosedState:
     most = DUAL_CHANGES // max(len(state.closed) + len(state.problem.load), 1)
     changes, effort.ranked, within = iter(range(effort.singles, most)), True, effort.most
     effort.most = np.inf  # counted separately
-    if not state.solved:
-        state = solved_on(state.problem, state.closed, state.answer, effort)
+    state = state if state.solved else solved_on(state.problem, state.closed, state.answer, effort)
     least, since = np.inf, 0
     while state.solved and not state.holds and since < IN_VAIN and _goes_on(changes, effort):
         if np.any(pulled := state.pulled):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.energy_bounds import doubtful, narrow, narrowed, nearer, unique_on
+from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import least_norm, pardiso
 from contactqp.linalg.condensation import condense
@@ -169,7 +169,7 @@ class SparseRun(Run):
                     tried.append(found.status)
                 if not found.claimed:
                     self._refuse_overlap()
-            if (now := self._state) is None or doubtful(now):
+            if (now := self._state) is None or doubtful(now) or (before is None and contradictory(now)):
                 continue
             if now is before or now.force_residual <= ENOUGH or narrow(now):
                 break

@@ -390,10 +390,12 @@ def test_units_of_nine_decades_change_no_energy(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("seed", "decades", "exact"),
-    [(15, 2.25, 1198.6762781016337), (14, 4.0, 18387.85209827261)],  # corrections narrow it; that of another backend
+    # Corrections narrow the first; of the others the closed contacts of another backend do, beside a conflict at last.
+    [(15, 2.25, 1198.6762781016337), (14, 4.0, 18387.85209827261), (11, 4.0, 10530.826176227845)],
 )
 def test_an_energy_that_is_not_enclosed_is_narrowed(seed: int, decades: float, exact: float) -> None:
     """Closed contacts held to 1e-21 of the largest force, which was all at unknowns far away: refused for 5e-8 of J.
+    Others conflict by 3e-16 of the largest length, and one that does not close then was 1.6e-9 of J: that passed.
 
     The exact energies are those of `cq.exact`.
     """
