@@ -190,7 +190,7 @@ def read_contact_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[d
     origins = [column for column in ORIGINS if column in table.columns]
     if origins:
         parts["slip_origin"] = np.array([_of_group(table, column, row, names) for column in origins]).T
-    _say(table, names, "contacts", unknowns, ledger)
+    _say(table, names, "contact", unknowns, ledger)
     return parts, names
 
 
@@ -201,7 +201,7 @@ def read_tie_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> tuple[dict[
     parts: dict[str, Any] = {"tie": _rows(table, "coefficient", row, len(names), unknowns)}
     if "value" in table.columns:
         parts["tie_value"] = np.array(_of_group(table, "value", row, names))
-    _say(table, names, "ties", unknowns, ledger)
+    _say(table, names, "tie", unknowns, ledger)
     return parts, names
 
 
@@ -214,7 +214,8 @@ def read_load_rows(path: Path, unknowns: Unknowns, ledger: Ledger) -> Array:
     load[places] = table.numbers("load")
     ledger.read.append(f"load: {len(places)} of {unknowns.count} unknowns")
     if len(places) < unknowns.count:
-        ledger.assumed.append(f"load: none at the {counted('unknown', unknowns.count - len(places))} not in the table")
+        others = counted("unknown", unknowns.count - len(places))
+        ledger.assumed.append(f"load: zero at {others} that the table does not name")
     unknowns.say("load", ledger)
     return load
 
@@ -276,8 +277,8 @@ def _of_group(table: Table, column: str, row: list[int], names: list[str]) -> li
 
 
 def _say(table: Table, names: list[str], what: str, unknowns: Unknowns, ledger: Ledger) -> None:
-    ledger.read.append(f"{what}: {len(names)} in {len(table.rows)} rows")
-    unknowns.say(what, ledger)
+    ledger.read.append(f"{counted(what, len(names))} in {counted('row', len(table.rows))}")
+    unknowns.say(f"{what}s", ledger)
 
 
 # Load cases, a row each; a column for each unknown that is loaded, contact whose gap is another, or coefficient.

@@ -189,7 +189,7 @@ def trials(scene: SceneData, method: str | None = None, knobs: Mapping[str, Knob
     )
     if not found:
         raise SceneError(
-            f'{method}: expected {required[0]}, as in --{required[0]} "1e8 kN/m", and the case states none'
+            f'{method}: the case states no {required[0]}: state one with its unit, such as --{required[0]} "1e8 kN/m"'
         )
     return found
 

@@ -112,11 +112,8 @@ def test_faults_show_in_large_bodies_whose_answer_is_chosen(fault: str, kind: st
 
 
 def test_every_fault_has_its_place() -> None:
-    """A fault whose function has another name by now is never planted, and the process ends without a trial."""
+    """Of each but "none" it is known as what it must be found."""
     assert FAULTS.keys() - SEEN_AS.keys() == {"none"}
-    for plant in FAULTS.values():
-        with plant():
-            pass
 
 
 def test_an_error_of_several_lines_is_a_finding() -> None:
@@ -201,7 +198,8 @@ def test_findings_are_equal_by_what_they_say() -> None:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_can_be_planted(fault: str) -> None:
-    """What it replaces is there: `patch` raises AttributeError where a name has gone."""
+    """What it replaces is there: `patch` raises AttributeError where a name has gone, and the process of such a fault
+    would end without a trial."""
     with FAULTS[fault]():
         pass
 

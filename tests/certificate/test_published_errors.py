@@ -52,7 +52,7 @@ def test_joints_count_in_the_merit_of_fclib() -> None:
     assert cq.siconos_local_error(problem, NOTHING, [1.0]) == pytest.approx(HAND / np.sqrt(32), rel=1e-15)
 
 
-def test_plane() -> None:
+def test_of_the_published_errors_siconos_alone_is_stated_in_the_plane() -> None:
     flat = cq.LocalProblem(delassus=np.eye(2), offset=[-3.0, 4.0], friction=0.5, dimension=2)
     assert cq.siconos_local_error(flat, [0.0, 0.0]) == pytest.approx(HAND / 5, rel=1e-15)
     with pytest.raises(cq.Unsupported, match="three dimensions"):

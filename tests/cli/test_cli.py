@@ -37,7 +37,7 @@ def test_knobs_have_units(capsys):
 def test_a_knob_that_nobody_states_is_exit_2_and_named_as_on_the_command_line(capsys):
     code, _, err = run(capsys, "run", CASES / "tie_symmetry.toml", "--method", "penalty")
     assert code == 2
-    assert "--penalty" in err
+    assert 'penalty: the case states no penalty: state one with its unit, such as --penalty "1e8 kN/m"' in err
 
 
 def test_options_reach_the_method(capsys):

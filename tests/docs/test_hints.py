@@ -78,6 +78,7 @@ def test_a_hint_at_what_is_not_there_is_found(hint: str) -> None:
 
 
 def test_every_command_is_a_click_command_with_a_help() -> None:
+    assert len(command.commands) >= 12
     for name, known in command.commands.items():
         assert isinstance(known, click.Command)
         assert known.help, name

@@ -23,9 +23,9 @@ def test_the_stiffness_is_scikit_fems(kind):
     mesh = distorted(kind)
     made = {"tri3": (skfem.MeshTri, skfem.ElementTriP1()), "quad4": (skfem.MeshQuad, skfem.ElementQuad1())}[kind]
     theirs = made[0](np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.blocks[0].nodes.T))
-    expected = 3.0 * laplace.assemble(skfem.Basis(theirs, made[1], intorder=6))
+    expected = 3.0 * laplace.assemble(skfem.Basis(theirs, made[1], intorder=4))  # 3 x 3 points, as ours
     found = Membrane(mesh, 3.0).stiffness
-    np.testing.assert_allclose(found.toarray(), expected.toarray(), atol=1e-4 if kind == "quad4" else 1e-13)
+    np.testing.assert_allclose(found.toarray(), expected.toarray(), atol=1e-13)
     assert abs(found - found.T).max() == 0
 
 
@@ -112,7 +112,7 @@ def test_a_round_membrane_under_pressure_is_a_paraboloid():
     )
     w = structure.displacements("drum", down.expand(cq.solve(down.problem([])).displacement))[:, 0]
     exact = -2.0 * (1 - np.sum(drum.mesh.points**2, axis=1)) / (4 * 3.0)
-    assert np.max(abs(w - exact)) < 1e-3 * np.max(abs(exact)) + 1e-3
+    assert np.max(abs(w - exact)) < np.max(abs(exact)) / (5 * 12**2)  # of second order in 12 elements
     np.testing.assert_array_equal(down.load, -up.load)
     np.testing.assert_allclose(down.load.sum(), -2.0 * drum.mesh.volume(), rtol=1e-12)
     linear = structure.assemble([], [cq.Pressure("drum", "above", lambda x: 1.0 + x[..., 0])])

@@ -135,7 +135,7 @@ def test_contacts_by_the_names_of_unknowns(tmp_path):
         tie_names=["one"],
     )
     assert same(read, expected)
-    assert any("load: none at the 2 unknowns" in line for line in ledger.assumed)
+    assert any("load: zero at 2 unknowns that the table does not name" in line for line in ledger.assumed)
 
 
 @pytest.mark.parametrize(

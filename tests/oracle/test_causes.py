@@ -23,7 +23,7 @@ def right() -> cq.Solution:
     return cq.solve(seeded_problem(3, 12, 8).replace(units={"length": "mm", "force": "kN"}))
 
 
-def test_factors(right: cq.Solution) -> None:
+def test_one_factor_on_forces_or_displacements_is_recognised(right: cq.Solution) -> None:
     problem, u, force = right.problem, right.displacement, right.normal_force
     assert causes(cq.certify(problem, -u, force)) == {"displacement-sign"}
     assert causes(cq.certify(problem, -u, -force)) == {"sign"}

@@ -33,7 +33,7 @@ def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
     return capsys.readouterr().out.splitlines()
 
 
-def test_it_is_short() -> None:
+def test_the_script_on_the_page_of_the_report_has_at_most_twenty_lines() -> None:
     assert SCRIPT is not None
     assert len([line for line in SCRIPT[1].splitlines() if line]) <= 20
 

@@ -242,7 +242,7 @@ def test_a_file_that_is_gone_is_named(capsys: Any, folder: Path) -> None:
     assert "the file 'right.json' beside the receipt" in err
 
 
-def test_usage(capsys: Any, folder: Path) -> None:
+def test_check_needs_a_problem_and_an_answer_or_a_receipt(capsys: Any, folder: Path) -> None:
     assert run(capsys, "check")[0] == 2
     assert run(capsys, "check", folder / "wall.toml")[0] == 2
     assert run(capsys, "check", folder / "wall.toml", folder / "right.json", "--verify", "x.json")[0] == 2

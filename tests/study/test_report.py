@@ -244,7 +244,7 @@ def test_without_cases_those_of_the_folder_here_or_those_that_come_with_it(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("all_of_them", [False, True])
 def test_without_cases_the_telling_ones_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], all_of_them: bool
 ) -> None:

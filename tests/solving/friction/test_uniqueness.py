@@ -72,7 +72,9 @@ def test_a_continuum_of_answers_is_several() -> None:
     ("friction", "free", "several"),
     [(1.0, (-0.01, -1.0), ()), (1.5, (-0.01, -1.0), ()), (1.5, (0.01, -1.0), (SEVERAL,))],
 )
-def test_rod(friction: float, free: tuple[float, float], several: tuple[str, ...]) -> None:
+def test_a_rod_says_when_it_has_three_answers(
+    friction: float, free: tuple[float, float], several: tuple[str, ...]
+) -> None:
     states = cq.equilibria(one_contact(ROD, free, friction))
     assert len(states) == (3 if several else 1)
     for state in states:

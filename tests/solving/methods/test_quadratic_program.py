@@ -78,14 +78,17 @@ def test_stiffness_in_columns_is_not_overwritten(method: Method) -> None:
 def test_infeasible_is_not_claimed(method: Method) -> None:
     try:
         candidate = method.solve(INFEASIBLE, Settings())
-    except BackendFailed:
-        return  # nothing finite was returned, and that is said
+    except BackendFailed as failed:
+        text = str(failed)
+        assert text.startswith(f"{method.name}: ")
+        assert text.endswith(("nothing was returned", "finite numbers, got [nan nan]"))
+        return
     assert not candidate.claimed
     assert candidate.status.startswith(method.name)
 
 
 @every_backend
-def test_silence(method: Method, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_backend_prints_nothing(method: Method, capfd: pytest.CaptureFixture[str]) -> None:
     method.solve(TWO_BARS, Settings())
     captured = capfd.readouterr()
     assert (captured.out, captured.err) == ("", "")
