@@ -136,7 +136,7 @@ def _thrown(problem: cq.ContactProblem, plane: bool) -> tuple[Spent, Any]:
         motion = partial(cq.impact, twin, mass, np.zeros(cells), velocity, steps * step, step)
         of_motion, history = _timed(motion)
         spent.append(of_motion)
-        taken.append(sum(state.work.back_substitutions for state in history))
+        taken.append(history[-1].work.back_substitutions)  # of the motion so far
     print(f"back-substitutions a step: {(taken[1] - taken[0]) / STEPS}", file=sys.stderr)
     return Spent(*((long - short) / STEPS for short, long in zip(*spent, strict=True))), history[-1]
 

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import BackendFailed, BackendMissing
-from contactqp.linalg.runtime import free_memory
+from contactqp.linalg.runtime import free_memory, stoppable
 from contactqp.model.arrays import Array, Indices, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -54,6 +54,8 @@ FILLS_IN = 1.5
 MANY_ENTRIES = 500_000
 # In MKL's sparse products: the matrix itself and not its transpose, of no special kind, its blocks by rows.
 NOT_TRANSPOSED, GENERAL, BLOCKS_BY_ROWS = 10, 20, 101
+# Factors of more entries take longer than a second, and are stopped by Ctrl-C and at a time limit.
+LONG = 3e7
 # The number of matrices with the same pattern per analysis, and the phase that releases the factors of one.
 OF_ONE_ANALYSIS, RELEASE_ONE = 2, 0
 
@@ -194,7 +196,9 @@ class Pardiso:
         return made
 
     def _factorise(self) -> None:
-        self._call(FACTORISE, np.zeros(1), self.schur if self.schur.size else np.zeros(1))
+        library: Any = _library() if self.entries_of_factors > LONG else None
+        with stoppable(getattr(library, "mkl_set_progress", None)):
+            self._call(FACTORISE, np.zeros(1), self.schur if self.schur.size else np.zeros(1))
         self.smallest_pivot = self._smallest_pivot() if self._analysis.kind == POSITIVE_DEFINITE else np.nan
 
     @property

@@ -1,4 +1,4 @@
-"""The resources of a solve: late import of SciPy, cores, free memory, and engines outside of this process.
+"""The resources of a solve: late import of SciPy, cores, free memory, time, and engines outside of this process.
 
 An engine is found by name in a table, and its functions are imported when needed, so that lower layers do not depend on
 its module.
@@ -7,9 +7,12 @@ its module.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
+import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -19,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import renew_in_child
+from contactqp.errors import BackendFailed, InvalidProblem, shown
+from contactqp.model.arrays import refuse_late, renew_in_child, seconds_left
 
 
 def _renew_cached_properties() -> None:
@@ -155,6 +158,54 @@ def _left_of_address_space() -> int | None:
         return None if limit == resource.RLIM_INFINITY else max(limit - pages * resource.getpagesize(), 1)
     except (ImportError, OSError, ValueError):
         return None
+
+
+# The type of MKL's progress function: thread, step, name of the stage and its length; and what is being factorised.
+_PROGRESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int)
+_RUNNING: list[None] = []
+
+
+@contextlib.contextmanager
+def stoppable(set_progress: Any) -> Iterator[None]:
+    """End a factorisation by PARDISO at Ctrl-C, or with NotConverged when the time limit of the call has passed.
+
+    MKL calls its progress function all the while, and ends with an error if that returns one. The function serves the
+    whole process, so that a time limit ends no factorisation beside another one.
+
+    Parameters
+    ----------
+    set_progress : MKL's function that takes the progress function; None if the factorisation is short
+    """
+    _RUNNING.append(None)
+    set_progress = set_progress if len(_RUNNING) == 1 else None
+    in_main = threading.current_thread() is threading.main_thread()
+    heard = in_main and set_progress and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    left, pressed = seconds_left(), threading.Event()
+    end = np.inf if left is None else time.perf_counter() + left
+
+    def progress(_thread: int, _step: int, stage: bytes, _length: int) -> int:
+        late = pressed.is_set() or (len(_RUNNING) == 1 and time.perf_counter() > end)
+        return int(late and stage.startswith(b"Pardiso"))  # LAPACK reports stages of its own in between
+
+    called = _PROGRESS(progress)
+    try:
+        if set_progress is not None:
+            set_progress(called)
+        if heard:
+            signal.signal(signal.SIGINT, lambda *_: pressed.set())
+        yield
+    except BackendFailed:
+        if set_progress is not None:
+            refuse_late("the factors of the stiffness were complete")
+        raise
+    finally:
+        _RUNNING.pop()
+        if set_progress is not None:
+            set_progress(None)
+        if heard:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if pressed.is_set():
+            raise KeyboardInterrupt
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +15,7 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.certificate import certificate, energy_bounds
 from contactqp.certificate.state_answer import OUT_OF_TIME
+from contactqp.errors import BackendFailed
 from contactqp.linalg import condensation, dense, multigrid, nonnegative, pardiso, schur
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.pardiso import CHOICE
@@ -228,3 +231,52 @@ def test_contacts_that_close_one_by_one_do_so_in_time() -> None:
     assert nonnegative.dual_active_set(W, h, none, 0 * h, 100)[2]
     with arrays.within_time(1e-9), pytest.raises(cq.NotConverged, match="before contacts open and close one by one"):
         nonnegative.dual_active_set(W, h, none, 0 * h, 100)
+
+
+@pytest.fixture
+def while_factorising(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], list[int]]:
+    """Do something as PARDISO begins to factorise, and list what its factorisations end with."""
+    if not pardiso.available():
+        pytest.skip("needs pypardiso")
+    monkeypatch.setattr(pardiso, "LONG", 0)
+    call, ended = pardiso._Analysis.call, []
+
+    def doing(what: Callable[[], None]) -> list[int]:
+        def watched(self: Any, phase: int, *rest: Any) -> None:
+            if phase == pardiso.FACTORISE:
+                what()
+            try:
+                call(self, phase, *rest)
+            except BackendFailed as error:
+                ended.append(int(str(error).split()[2]))
+                raise
+
+        monkeypatch.setattr(pardiso._Analysis, "call", watched)
+        return ended
+
+    return doing
+
+
+BY_ITS_PROGRESS = -13  # PARDISO's error where its progress function has ended it
+
+
+def test_a_long_factorisation_ends_when_the_time_is_up(clock: Clock, while_factorising: Any) -> None:
+    ended = while_factorising(lambda: clock.passes(1e6))
+    words = "before the factors of the stiffness were complete"
+    with arrays.within_time(1e5), pytest.raises(cq.NotConverged, match=words):
+        pardiso.Pardiso(CHAIN, NONE)
+    assert ended == [BY_ITS_PROGRESS]
+    while_factorising(lambda: None)
+    assert pardiso.Pardiso(CHAIN, NONE).solve_all(CHAIN @ np.ones(CHAIN.shape[0])) == pytest.approx(1.0)
+
+
+def test_ctrl_c_ends_a_long_factorisation(while_factorising: Any) -> None:
+    ended = while_factorising(lambda: os.kill(os.getpid(), signal.SIGINT))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            pardiso.Pardiso(CHAIN, NONE)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert ended == [BY_ITS_PROGRESS]
