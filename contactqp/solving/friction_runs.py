@@ -44,6 +44,7 @@ from contactqp.solving.friction.exact_enumeration import (
     NONE_AT_ALL,
     NONE_IN_FLOATS,
     SEVERAL,
+    refuse_parts_without_equilibrium,
     rounded_equilibria,
 )
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
@@ -463,6 +464,7 @@ def _listed(problem: ContactProblem, condensation: Condensation) -> tuple[Fricti
     if not found:
         refuse_conflict(problem, condensation)
         if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
+            refuse_parts_without_equilibrium(problem)
             within = f"up to {MOST_PROVEN} contacts and {MOST_UNKNOWNS} unknowns"
             raise NotConverged(f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers {within}")
         if not (found := _in_rationals(problem)):

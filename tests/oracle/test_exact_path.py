@@ -95,6 +95,13 @@ def test_a_lost_equilibrium_is_told_with_its_time() -> None:
         follow(loose, [column([0.0, -1.0]), column([1.0, -1.0])], ["pad"])
 
 
+def test_a_loose_body_that_falls_has_not_lost_its_equilibrium() -> None:
+    """A block falls at once onto the floor below, where it rests: no equilibrium is denied."""
+    block = replace(slider(), K=zeros(2, 2), g=column([0.1]))
+    with pytest.raises(cq.Unsupported, match="t = 0: the path jumps where the load sets a loose body going"):
+        follow(block, [column([0.0, -1.0])], ["pad"])
+
+
 def test_friction_above_a_critical_one_goes_on_in_several_ways() -> None:
     # Load (5/2, -1) on a node that touches: it sticks (5/2 < 3), or lifts off by K^-1 f = (3/2, 1/2), or slips by 1/2.
     coupled = of_floats(

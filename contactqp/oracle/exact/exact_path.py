@@ -111,7 +111,7 @@ def follow(data: RationalProblem, corners: Sequence[fmpq_mat], names: Sequence[s
     """Return the end of the path on which the load goes linearly from zero, at rest, to each corner (n, 1) in turn.
 
     Raises NoEquilibrium: no states continue at some load; SeveralEquilibria: several do; Unsupported: the path does not
-    start at rest, rates are not unique, or friction in space.
+    start at rest, a loose body jumps, rates are not unique, or friction in space.
     """
     if data.width != 1:
         raise Unsupported("exact: friction on a load path in space, where slip directions turn")
@@ -166,11 +166,13 @@ class _Walk:
     def _continuation(self, rates: RationalProblem, at: str) -> tuple[States, RationalAnswer]:
         found: list[tuple[States, RationalAnswer]] = []
         loose: list[States] = []
+        driven = True  # in every combination
         for states in self._choices(at):
             system = system_of(rates, _combination(states))
             solved = system.solve()
             if solved is None:
                 continue
+            driven = False
             motion, forces, only = solved
             if not only:
                 rates_left = LooseRates(system, motion, forces, partial(self._rooms, states))
@@ -189,6 +191,8 @@ class _Walk:
                 found[known] = states, rate  # all that do not slip count as sticking
         if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
             raise Unsupported(f"exact: {at}: motions are not unique in rates")
+        if driven:
+            raise Unsupported(f"exact: {at}: the path jumps where the load sets a loose body going")
         if not found:
             raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
         if len(found) > 1:

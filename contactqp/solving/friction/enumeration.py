@@ -35,6 +35,7 @@ from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.friction_states import answer_in
+from contactqp.linalg.measures import parts
 from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
@@ -254,6 +255,21 @@ def _filled(size: Vector, other: float) -> Vector:
     """Return sizes with the median of the others in place of zeros; `other` where all are zero."""
     known = size[size > 0]
     return np.where(size > 0, size, float(np.median(known)) if len(known) else other or 1.0)
+
+
+def separate_parts(problem: ContactProblem) -> Iterator[tuple[ContactProblem, str]]:
+    """Yield the problems of bodies that neither contacts nor ties join to others, with the names of their contacts."""
+    part, K = parts(problem), problem.stiffness_rows
+    for one in range(int(part.max(initial=-1)) + 1):
+        of = np.flatnonzero(part == one)
+        kept, ties = (np.flatnonzero(np.diff(rows[:, of].tocsr().indptr)) for rows in (problem.normal, problem.tie))
+        if not kept.size:
+            continue
+        data = {name: getattr(problem, name)[kept] for name in ("gap", "friction", "slip_origin")}
+        data |= {name: getattr(problem, name)[kept][:, of] for name in ("normal", "tangent")}
+        data |= {"tie": problem.tie[ties][:, of], "tie_value": problem.tie_value[ties], "load": problem.load[of]}
+        names = ", ".join(problem.contact_name(int(i)) for i in kept)
+        yield ContactProblem(stiffness=K[of][:, of], **data), names
 
 
 def refuse_many(contacts: int) -> str | None:

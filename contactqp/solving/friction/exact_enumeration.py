@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, Unsupported, counted, shown
+from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported, counted, shown
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
@@ -32,7 +32,7 @@ from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import Answer, AnswerOf
-from contactqp.solving.friction.enumeration import refuse_many
+from contactqp.solving.friction.enumeration import refuse_many, separate_parts
 
 # The largest difference between exact and given values relative to the largest entry, by rounding and symmetrising.
 ROUNDED = 1e-9
@@ -204,6 +204,13 @@ def rounded_equilibria(problem: ContactProblem) -> list[Answer]:
         push[kept], drag[kept] = _doubles(one.normal_force), _doubles(one.friction_force)
         answers.append(Answer(_doubles(one.displacement), push, drag, _doubles(one.tie_force)))
     return answers
+
+
+def refuse_parts_without_equilibrium(problem: ContactProblem) -> None:
+    """Raise NoEquilibrium if bodies that nothing joins to the others have none in rational numbers."""
+    for part, named in separate_parts(problem):
+        if part.contacts <= MOST_PROVEN and part.dimension <= MOST_UNKNOWNS and not rounded_equilibria(part):
+            raise NoEquilibrium(f"{NONE_AT_ALL}, of the bodies at {named} alone")
 
 
 def _doubles(values: NDArray[Any]) -> NDArray[np.float64]:

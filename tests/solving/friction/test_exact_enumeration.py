@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 import contactqp as cq
 from contactqp.linalg.exact_algebra import Polyhedron, solutions
@@ -216,3 +218,30 @@ def test_systems_that_contradict_or_leave_free() -> None:
     assert found is not None
     assert found.point == [1, 0]
     assert found.free == [[-2, 1]]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_bodies_without_an_equilibrium_have_none_beside_others(first: bool) -> None:
+    """What four contacts cannot hold is not held either where a body that stands apart has a fifth one."""
+    none: dict[str, Any] = {
+        "stiffness": np.array([[2.25, -2.25, 0.0], [-2.25, 2.25, 0.0], [0.0, 0.0, 0.0]]),
+        "load": np.array([-2.0, -4.0, 2.0]),
+        "normal": np.array([[-2.0, 1.0, 2.0], [1.0, -1.0, 0.0], [2.0, -1.0, 0.0], [2.0, -2.0, 2.0]]),
+        "gap": np.array([-0.5, 0.75, 1.5, -0.25]),
+        "tangent": np.array([[1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [2.0, 1.0, 1.0], [1.0, 2.0, 0.0]]),
+        "friction": np.array([1.0, 0.5, 1.0, 1.0]),
+    }
+    slider: dict[str, Any] = {
+        "stiffness": np.eye(2),
+        "load": np.array([1.0, -3.0]),
+        "normal": np.array([[0.0, -1.0]]),
+        "gap": np.array([1.0]),
+        "tangent": np.array([[1.0, 0.0]]),
+        "friction": np.array([0.25]),
+    }
+    parts = (none, slider) if first else (slider, none)
+    matrices = {name: block_diag(*(part[name] for part in parts)) for name in ("stiffness", "normal", "tangent")}
+    vectors = {name: np.concatenate([part[name] for part in parts]) for name in ("load", "gap", "friction")}
+    alone = "contact 0.*contact 3 alone" if first else "contact 1.*contact 4 alone"
+    with pytest.raises(cq.NoEquilibrium, match=f"proven in rational numbers, of the bodies at {alone}"):
+        cq.solve(cq.ContactProblem(**matrices, **vectors))
