@@ -233,6 +233,14 @@ def test_contacts_that_close_one_by_one_do_so_in_time() -> None:
         nonnegative.dual_active_set(W, h, none, 0 * h, 100)
 
 
+def test_a_backend_without_a_time_limit_says_so_before_anything_is_factorised() -> None:
+    pytest.importorskip("piqp")
+    said: list[str] = []
+    with pytest.raises(cq.Unsupported, match="piqp: this backend has no time limit: leave time_limit out"):
+        cq.solve(fresh(PROBLEMS["frictionless"]), "piqp", time_limit=60.0, progress=said.append)
+    assert not said
+
+
 @pytest.fixture
 def while_factorising(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], None]], list[int]]:
     """Do something as PARDISO begins to factorise, and list what its factorisations end with."""

@@ -230,6 +230,10 @@ def refuse_unsupported(problem: ContactProblem, method: Method, settings: Settin
     if missing:
         needed = missing[0] if missing[0] == method.name else f"{method.name}: {missing[0]}"
         raise InvalidProblem(f"{needed} has no default, state it: solve(..., {missing[0]}=...)")
+    if settings.time_limit is not None and not method.timed and not constraints_are_many(problem):
+        raise Unsupported(
+            f"{method.name}: this backend has no time limit: leave time_limit out, or take clarabel or osqp"
+        )
     if algorithm is not None and problem.friction is not None and method.solve_friction is not None:
         raise Unsupported(
             f"{method.name}: algorithm={shown(algorithm)} takes convex steps of another method, and this one has "
