@@ -412,16 +412,17 @@ def _admissible_forces(
     return extend(force), extend(tie)
 
 
-def bounds_apart(problem: ContactProblem, answer: Answer, elastic: Mask, condensed: Callable[..., Any]) -> Any:
-    """Return the bounds of elastic parts, and those on single contact forces in the other parts.
-
-    In the others every displacement and force has zero energy norm.
+def bounds_apart(
+    problem: ContactProblem, answer: Answer, elastic: Mask, condensed: Callable[..., Any], by_energy: Any
+) -> Any:
+    """Return the bounds of elastic parts, and those on forces in the others, where all energy norms vanish.
 
     Parameters
     ----------
     problem, answer : ContactProblem, Answer
     elastic : (n,) array of bool, the unknowns of parts with stiffness
     condensed : the function that returns the Bounds of one part, from its problem, answer, residuals and condensation
+    by_energy : the function that returns those of a part without stiffness, or None
     """
     found = []
     for mask in (elastic, ~elastic):
@@ -429,25 +430,26 @@ def bounds_apart(problem: ContactProblem, answer: Answer, elastic: Mask, condens
         contacts, ties = (np.unique(rows[:, unknowns].tocoo().row) for rows in (problem.normal, problem.tie))
         part = _part(problem, unknowns, contacts, ties)
         own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
-        found.append((unknowns, contacts, condensed(part, own, residuals(part, own), condense(part))))
-    (at, mine, bounds), (beside, theirs, rigid) = found
-    bound = relative = solution = None
-    if bounds.force_bound is not None and rigid.force_bound is not None:
-        bound = np.zeros(problem.contacts)
-        bound[mine], bound[theirs] = bounds.force_bound, rigid.force_bound
-    if bounds.relative_force_bound is not None:
-        relative = np.zeros(problem.contacts)
-        relative[mine] = bounds.relative_force_bound
+        its = condensed(part, own, residuals(part, own), condensation := condense(part))
+        seen = by_energy is None or mask is elastic
+        found.append((unknowns, contacts, its if seen else by_energy(part, own, its, condensation.rigid)))
+    bounds, rigid = (one for *_, one in found)
+    bound, relative, solution = np.zeros(problem.contacts), np.zeros(problem.contacts), None
     if bounds.solution is not None and rigid.solution is not None:
         solution = Extended(np.zeros(problem.dimension))
-        for place, one in ((at, bounds.solution), (beside, rigid.solution)):
-            solution.hi[place], solution.lo[place] = one.hi, one.lo
+    for at, contacts, one in found:
+        bound[contacts] = np.nan if one.force_bound is None else one.force_bound
+        relative[contacts] = 0.0 if one.relative_force_bound is None else one.relative_force_bound
+        if solution is not None:
+            solution.hi[at], solution.lo[at] = one.solution.hi, one.solution.lo
+    missed = 0.0 if rigid.force_error is None or not problem.ties else rigid.force_error * rigid.force_scale
     return replace(
         bounds,
         energy_error=None if rigid.energy_error is None else bounds.energy_error,
         force_error=None if rigid.force_error is None else bounds.force_error,
-        force_bound=bound,
+        force_bound=None if np.isnan(bound).any() else bound,
         relative_force_bound=relative,
+        ties=max(bounds.ties, (missed, rigid.force_scale)),
         solution=solution,
         suspicious=bounds.suspicious or rigid.suspicious,
         reasons=tuple(dict.fromkeys((*bounds.reasons, *rigid.reasons))),

@@ -41,6 +41,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -149,21 +150,25 @@ class Bounds:
         return FIGURES_ALONE if self.energy_error is None or self.force_error is None else BOUNDS
 
 
-def error_bounds(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
+def error_bounds(
+    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation, by_energy: Any = None
+) -> Bounds:
     """Return the bounds of an answer, or the reasons why there are none.
 
     Parameters
     ----------
     problem, answer, residual : ContactProblem, Answer, and the Residuals of the answer
     condensation : that of the problem
+    by_energy : `bounds_by_energy` for parts without stiffness, where all energy norms vanish; None leaves these out
     """
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
     elastic = _in_elastic_parts(problem)
     if elastic.any() and not elastic.all():
-        apart: Bounds = bounds_apart(problem, answer, elastic, _condensed)
+        apart: Bounds = bounds_apart(problem, answer, elastic, _condensed, by_energy)
         return apart
-    return _condensed(problem, answer, residual, condensation)
+    found = _condensed(problem, answer, residual, condensation)
+    return found if by_energy is None or elastic.all() else by_energy(problem, answer, found, condensation.rigid)
 
 
 def _in_elastic_parts(problem: ContactProblem) -> Mask:
@@ -171,8 +176,7 @@ def _in_elastic_parts(problem: ContactProblem) -> Mask:
     stiff = problem.diagonal > 0
     if stiff.all() or not stiff.any():
         return stiff
-    part = parts(problem)
-    return np.asarray(np.isin(part, part[stiff]))
+    return np.asarray(np.isin(part := parts(problem), part[stiff]))
 
 
 def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
@@ -437,14 +441,11 @@ def _force_bound(
 
 
 def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] count as
-    zero.
-    """
+    """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are zero."""
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
-    # An absolute error, where the true size vanishes, is compared with the energy of the answer, or that of a
-    # displacement without strain with the strain by its rounding; sizes negligible beside all others count as zero,
-    # unless the contact forces are smaller.
+    # Absolute errors, where the true size vanishes, are compared with the answer's energy or, without strain, with the
+    # strain by rounding; sizes negligible beside all others count as zero, unless the contact forces are smaller.
     beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
     strain, pushed = max(bounds.rigid_rounding, beside_forces), max(tolerance * bounds.energy_scale, nothing)
     # The uncertainty by undecided gaps is no strain of a rigidly moving body; it is in the bound and its uncertainty.
@@ -488,10 +489,9 @@ def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
 
 
 def fails_force_bound(bounds: Bounds, tolerance: float, nothing: float) -> bool:
-    """Return whether the bound on the force of one of these contacts is beyond the tolerance.
+    """Return whether the bound on the force of a contact is beyond the tolerance.
 
-    On floating bodies errors up to `nothing` [square root of energy] count as zero, as loads may be far larger than
-    contact forces.
+    Errors up to `nothing` [sqrt(energy)] count as zero on floating bodies, as loads may be far larger than the forces.
     """
     relative = bounds.relative_force_bound
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0

@@ -430,7 +430,7 @@ def _basis(
         return _Basis(systems, residual, *bounds_among(problem, answer, residual, candidates))
     known = problem._computed.condensation if factorization is None else _matching(problem, factorization)
     condensation = known or condense(problem)
-    bounds = error_bounds(problem, answer, residual, condensation)
+    bounds = error_bounds(problem, answer, residual, condensation, bounds_by_energy)
     far = FAR if condensation.rigid.count else np.finfo(float).max
     if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
         bounds = bounds_by_energy(problem, answer, bounds, condensation.rigid)

@@ -38,7 +38,14 @@ from contactqp.certificate.balance import work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
-from contactqp.linalg.convexity import DEFINITE, REGULAR, diagonal_dominance, stiffness_factor
+from contactqp.linalg.convexity import (
+    DEFINITE,
+    REGULAR,
+    are_independent,
+    diagonal_dominance,
+    inverse_of_gram,
+    stiffness_factor,
+)
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     REACH,
@@ -157,7 +164,7 @@ def _from_solution(
     """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin.
 
     If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
-    contacts there are due to rounding, forces are compared with those of all closed contacts.
+    contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ.
     """
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
@@ -172,7 +179,9 @@ def _from_solution(
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
     unique = unique_on(held)
-    sees = unique.displacement and not mostly_bare(problem)
+    if unique.forces and np.array_equal(state.closed, held.closed):
+        held = state  # all rows of the same set are met together
+    sees = unique.displacement and problem.diagonal.any() and not mostly_bare(problem)
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > least else 0.0
     strained = strain if strain > least else scale
@@ -425,9 +434,14 @@ def unique_on(state: ClosedState) -> Unique:
 
     The response of the regularised saddle point to a force on a free motion, or to contradicting gaps of dependent
     rows, is 1/d times these, which random forces and gaps include. Soft bodies and nearly dependent rows, such as
-    differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d tells.
+    differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d or the
+    motions of the rows themselves tell.
     """
     unique = _answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state)
+    if not unique.forces:
+        unique = replace(
+            unique, forces=are_independent(sp.vstack([state.problem.normal[state.closed], state.problem.tie]))
+        )
     if unique.displacement and unique.forces:
         return unique
     try:
@@ -460,14 +474,14 @@ def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, ri
     Parameters
     ----------
     problem, answer : ContactProblem, Answer
-    bounds : what condensed systems gave, returned where no more is proven
+    bounds : what condensed systems gave, returned where no more is proven, unless there is no stiffness at all
     rigid : the null space of K
     """
     if problem.frictional or _floats(problem, rigid):
         return bounds
     found = energy_bounds(problem, answer)
     if not found.proven:
-        return bounds
+        return bounds if problem.diagonal.any() else replace(found, suspicious=bounds.suspicious)
     if bounds.force_error is None or found.force_error is None:
         return found
     return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in its own norm

@@ -1,9 +1,10 @@
 """Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
-precision.
+precision, and whether rows of constraints are independent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, with_added_diagonal
-from contactqp.linalg.schur import LARGE
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS
+from contactqp.linalg.schur import LARGE, with_pivots
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 
@@ -29,6 +31,10 @@ REGULAR = 1e-8
 DEFINITE = 1e-10
 # The most unknowns of a direction named in a message.
 NAMED = 6
+# The part of random gaps up to which a motion of independent rows meets them.
+MET = 1e-3
+# The most entries of E E', and its least pivot with unit diagonal.
+MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 # Steps of conjugate gradients that show a negative eigenvalue.
 STEPS = 15
 
@@ -180,3 +186,39 @@ def _lowest(matrix: Any) -> Vector | None:
     except ArpackNoConvergence:
         return None
     return vectors[:, 0] if values[0] < 0 else None
+
+
+def are_independent(rows: Any) -> bool:
+    """Return whether sparse rows (r, n) are independent: a motion v meets random gaps g and is below 1/DEPENDENT_ROWS.
+
+    The shortest one is that of [a I E'; E 0], whose condition number is that of the rows E where a is below their least
+    singular value (Bjorck 1996, section 2.5.1). Rows whose factors would take too long are not called independent.
+    """
+    sizes = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    if not (np.isfinite(sizes) & (sizes > 0)).all():
+        return False
+    unit, n = sp.csr_array(sp.diags(1 / sizes) @ rows), rows.shape[1]
+    gaps = np.random.default_rng(0).uniform(0.5, 1.0, len(sizes))
+    try:
+        solve = with_pivots(sp.bmat([[DEPENDENT_ROWS * sp.identity(n), unit.T], [unit, None]], format="csc"))
+    except BackendFailed:
+        return False
+    motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
+    return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
+
+
+def inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
+    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
+
+    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
+    """
+    n = rows.shape[1]
+    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
+        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
+        if gram.smallest_pivot > WELL_APART:
+            return gram.solve
+    try:
+        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
+    except BackendFailed:
+        return None
+    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]

@@ -236,7 +236,7 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
         return known
     state = nearest_state(problem, _closed_in(problem, answer), start := ExtendedAnswer.of(answer), effort)
     if state.holds or not problem.contacts:
-        return state
+        return state if state.holds else by_pivots(state, effort)
     point = sharpened(problem, answer, effort)
     middle = ExtendedAnswer.of(point.answer)
     state = nearest_state(problem, point.closed, middle, effort, driven)

@@ -56,3 +56,69 @@ def test_a_program_that_ends_at_zero_has_no_length_beside_a_bound_that_stays_ope
     moved = np.full(8, 1e-6)
     assert not cq.certify(program, moved, solution.normal_force).passed
     assert not cq.certify(program, solution.displacement, 1.001 * solution.normal_force).passed
+
+
+def near_parallel(blocks: int, apart: float) -> np.ndarray:
+    """Return the rows of pairs (x_1 + x_2, x_1 + (1 + apart) x_2), of condition number 4 / apart."""
+    return np.kron(np.eye(blocks), [[1.0, 1.0], [1.0, 1.0 + apart]])
+
+
+STIFFNESSES = {"none": (0.0, 0.0), "the first of each pair": (1.0, 0.0), "the second": (0.0, 1.0)}
+
+
+@pytest.mark.parametrize("blocks", [1, 10])
+@pytest.mark.parametrize("exponent", [8, 16, 28])
+@pytest.mark.parametrize("stiffness", STIFFNESSES)
+@pytest.mark.parametrize("tied", [False, True], ids=["contacts", "ties"])
+def test_forces_of_nearly_parallel_rows_are_judged_where_nothing_strains(
+    blocks: int, exponent: int, stiffness: str, tied: bool
+) -> None:
+    """All displacements and forces are 1 and unique, as in rational numbers; the residual of wrong forces is rounding.
+
+    It is so before and after the problem is solved.
+    """
+    apart = 2.0**-exponent
+    rows, ones = near_parallel(blocks, apart), np.ones(2 * blocks)
+    K = np.diag(np.tile(STIFFNESSES[stiffness], blocks))
+    q = -(rows.T @ ones + K @ ones)
+    limits = {"A": rows, "b": rows @ ones} if tied else {"G": rows, "h": rows @ ones}
+    problem = cq.ContactProblem.from_qp(K, q, **limits)
+    wrong = ones.copy()
+    wrong[:2] += np.array([1.0, -1.0]) * min(1e-9 / apart, 0.5)  # out of balance by 1e-9 of a force of two
+    if apart == 2.0**-8:
+        wrong[:2] = 1.00001, 0.99999
+
+    def judged(forces: np.ndarray) -> cq.Certificate:
+        none = np.zeros(0)
+        contacts, ties = (none, forces) if tied else (forces, none)
+        return cq.certify(problem, ones, contacts, tie_force=ties if tied else None)
+
+    assert not judged(wrong).passed
+    assert judged(ones).proven
+    answer = cq.solve(problem)
+    forces = answer.tie_force if tied else answer.normal_force
+    assert answer.certificate.proven
+    np.testing.assert_allclose(forces, ones, rtol=1e-6)
+    assert not judged(wrong).passed
+    assert not any("not unique" in note for note in answer.certificate.notes)
+
+
+def test_the_energy_of_a_program_of_two_unknowns_is_enclosed() -> None:
+    """The least of -x - 2 y over x + y <= 4, 0 <= x <= 3, 0 <= y <= 2.5 is -6.5, at (1.5, 2.5)."""
+    program = cq.ContactProblem.from_qp(np.zeros((2, 2)), [-1.0, -2.0], G=[[1, 1]], h=[4], lb=[0, 0], ub=[3, 2.5])
+    answer = cq.solve(program)
+    lower, upper = answer.certificate.energy_bounds
+    assert lower <= -6.5 <= upper
+    assert upper - lower <= 1e-12
+    np.testing.assert_allclose(answer.displacement, [1.5, 2.5])
+
+
+def test_the_forces_of_a_part_without_stiffness_are_judged_beside_a_body() -> None:
+    """Two unknowns without stiffness are held by two nearly parallel rows, beside a spring that is pressed on a stop."""
+    rows = np.zeros((3, 3))
+    rows[:2, :2], rows[2, 2] = near_parallel(1, 2.0**-24), 1.0
+    problem = cq.ContactProblem.from_qp(np.diag([0, 0, 1.0]), -rows.T @ [1, 1, 1], G=rows, h=[2, 2 + 2.0**-24, 0])
+    answer = cq.solve(problem)
+    np.testing.assert_allclose(answer.normal_force, 1.0, rtol=1e-6)
+    assert answer.certificate.proven
+    assert not cq.certify(problem, answer.displacement, [1.01, 0.99, 1.0]).passed
