@@ -38,14 +38,7 @@ from contactqp.certificate.balance import work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
-from contactqp.linalg.convexity import (
-    DEFINITE,
-    REGULAR,
-    are_independent,
-    diagonal_dominance,
-    inverse_of_gram,
-    stiffness_factor,
-)
+from contactqp.linalg.convexity import DEFINITE, REGULAR, are_independent, diagonal_dominance, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     REACH,

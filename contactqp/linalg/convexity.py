@@ -4,7 +4,6 @@ precision, and whether rows of constraints are independent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,8 +32,6 @@ DEFINITE = 1e-10
 NAMED = 6
 # The part of random gaps up to which a motion of independent rows meets them.
 MET = 1e-3
-# The most entries of E E', and its least pivot with unit diagonal.
-MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 # Steps of conjugate gradients that show a negative eigenvalue.
 STEPS = 15
 
@@ -205,20 +202,3 @@ def are_independent(rows: Any) -> bool:
         return False
     motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
     return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
-
-
-def inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
-    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
-
-    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
-    """
-    n = rows.shape[1]
-    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
-        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
-        if gram.smallest_pivot > WELL_APART:
-            return gram.solve
-    try:
-        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
-    except BackendFailed:
-        return None
-    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]

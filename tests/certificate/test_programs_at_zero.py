@@ -114,7 +114,7 @@ def test_the_energy_of_a_program_of_two_unknowns_is_enclosed() -> None:
 
 
 def test_the_forces_of_a_part_without_stiffness_are_judged_beside_a_body() -> None:
-    """Two unknowns without stiffness are held by two nearly parallel rows, beside a spring that is pressed on a stop."""
+    """Two nearly parallel rows hold two unknowns without stiffness, beside a spring that is pressed on a stop."""
     rows = np.zeros((3, 3))
     rows[:2, :2], rows[2, 2] = near_parallel(1, 2.0**-24), 1.0
     problem = cq.ContactProblem.from_qp(np.diag([0, 0, 1.0]), -rows.T @ [1, 1, 1], G=rows, h=[2, 2 + 2.0**-24, 0])
