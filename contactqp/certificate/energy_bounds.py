@@ -268,7 +268,7 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> A
     for group in np.flatnonzero(np.bincount(of_row) > 1):
         together = np.flatnonzero(of_row == group)
         few = rows[together]
-        touched = np.unique(few.indices)
+        touched = np.unique(few.indices) if few.nnz < few.shape[1] else np.flatnonzero(np.bincount(few.indices))
         if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
             taken[together] = _taken_at_random(few[:, touched], residual[touched], stiffness[touched], distance)
             continue
@@ -300,7 +300,7 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: floa
     solve = inverse_of_gram(rows)
     if solve is None:
         return np.full((count, 2), np.inf)
-    answered = [np.column_stack([solve(one) for one in (rows @ (weight[:, None] * forces)).T]) for weight in weights.T]
+    answered = [solve(rows @ (weight[:, None] * forces)) for weight in weights.T]
     return np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
 
 

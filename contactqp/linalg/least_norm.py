@@ -161,8 +161,8 @@ def least_solution(rows: Any, right: Vector) -> Vector:
 MOST_ENTRIES, WELL_APART = 1e7, 1e-6
 
 
-def inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
-    """Return a function that solves with E E' of sparse rows E (a, n), None if they are nearly dependent.
+def inverse_of_gram(rows: Any) -> Callable[[Array], Array] | None:
+    """Return a function that solves E E' X = B (a, q) for sparse rows E (a, n), None if they are nearly dependent.
 
     If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
     """
@@ -175,7 +175,7 @@ def inverse_of_gram(rows: Any) -> Callable[[Vector], Vector] | None:
         both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
     except BackendFailed:
         return None
-    return lambda right: -both(np.concatenate([np.zeros(n), right]))[n:]
+    return lambda right: np.column_stack([-both(np.concatenate([np.zeros(n), one]))[n:] for one in right.T])
 
 
 # The number of rows up to which weights are computed by dense algebra, and corrections for more rows.

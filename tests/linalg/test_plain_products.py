@@ -13,6 +13,7 @@ from contactqp.errors import BackendFailed, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.influence import SlicedStiffness
 from contactqp.linalg.krylov import flexible_gmres
+from contactqp.linalg.measures import sizes_of
 from contactqp.linalg.pardiso import products
 
 needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
@@ -126,3 +127,16 @@ def test_flexible_gmres_ends_where_nothing_is_left() -> None:
     with np.errstate(invalid="ignore"):
         _, steps = flexible_gmres(lambda v: v * np.nan, A.__matmul__, dots, r, 1e-3, 4)
     assert steps == 1
+
+
+def test_sums_of_many_entries_are_those_of_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products of sparse matrices add in the same order, so that no figure changes at some number of entries."""
+    rng = np.random.default_rng(1)
+    rows = sp.random_array((40, 60), density=0.3, rng=rng, format="csr")
+    sizes, u, force = sizes_of(rows), rng.standard_normal(60), rng.standard_normal(40)
+    few = sizes.moved(u), sizes.lengths(abs(u)), sizes.resultant(force), sizes.forces(abs(force))
+    monkeypatch.setattr("contactqp.linalg.measures.MANY_ENTRIES", 0)
+    many = sizes.moved(u), sizes.lengths(abs(u)), sizes.resultant(force), sizes.forces(abs(force))
+    assert all(np.array_equal(one, other) for one, other in zip(few, many, strict=True))
+    assert few[0] == pytest.approx(rows @ u)
+    assert few[2] == pytest.approx(rows.T @ force)

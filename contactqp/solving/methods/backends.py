@@ -276,7 +276,7 @@ class _Bounds:
         """Return the contact forces (m,) of a solution with multipliers of rows and of bounds."""
         force = np.zeros(problem.contacts)
         if solution.z is not None and len(solution.z):
-            force[np.setdiff1d(np.arange(problem.contacts), self.contacts)] = solution.z
+            force[np.delete(np.arange(problem.contacts), self.contacts)] = solution.z
         entry = np.zeros(problem.contacts)
         entry[self.contacts] = abs(problem.normal.data[problem.normal.indptr[self.contacts]])
         for contact, pushes in ((self.of_lower, -solution.z_box), (self.of_upper, solution.z_box)):
@@ -310,7 +310,7 @@ def _program(backend: Backend, problem: ContactProblem, bounds: _Bounds | None =
     form = _dense if backend.dense and not (backend.sparse and sp.issparse(problem.stiffness)) else _sparse
     G, h = problem.normal, problem.gap.copy()
     if bounds is not None:
-        others = np.setdiff1d(np.arange(problem.contacts), bounds.contacts)
+        others = np.delete(np.arange(problem.contacts), bounds.contacts)
         G, h = G[others], h[others]
     if problem.contacts == 0 and backend.needs_inequality:
         G, h = sp.csr_array((1, problem.dimension)), np.ones(1)  # the constraint 0'u <= 1 has no effect
