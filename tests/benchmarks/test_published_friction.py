@@ -116,7 +116,7 @@ def test_what_is_certified_and_wrong_is_told():
     assert published_friction.failures(names, runs, 60.0) == []
     runs[2] = {"default": refused, "Siconos NSGS": theirs}
     assert published_friction.failures(names, runs, 60.0) == ["the default solves 27 of 30, fewer than 28 of 30"]
-    runs[2] = {"default": replace(SOLVED, seconds=61.0), "admm": replace(wrong, algorithm="admm")}
+    runs[2] = {"default": replace(SOLVED, elapsed=61.0), "admm": replace(wrong, algorithm="admm")}
     assert published_friction.failures(names, runs, 60.0) == [
         "problem 2: admm is certified and off by 1e-07",
         "problem 2: the default takes 61.0 s, more than 60 s",
