@@ -144,12 +144,12 @@ class ContactBlocks:
     @classmethod
     def of(cls, W: Any, d: int) -> ContactBlocks:
         """Return the blocks of a matrix (d m, d m)."""
-        stored = sp.bsr_array(sp.csr_array(W.T), blocksize=(d, d))
-        m = W.shape[0] // d
-        rows, columns = stored.indices.astype(np.intp), np.arange(m).repeat(np.diff(stored.indptr))
-        lacks = np.setdiff1d(np.arange(m), rows[rows == columns])  # contacts without any compliance of their own
+        stored, m = sp.bsr_array(W, blocksize=(d, d)), W.shape[0] // d
+        rows, columns, own = np.arange(m).repeat(np.diff(stored.indptr)), stored.indices, np.zeros(m, dtype=bool)
+        own[rows[rows == columns]] = True
+        lacks = np.flatnonzero(~own)  # contacts without any compliance of their own
         rows, columns = np.concatenate([rows, lacks]), np.concatenate([columns, lacks])
-        values = np.concatenate([stored.data.transpose(0, 2, 1), np.zeros((len(lacks), d, d))])
+        values = np.concatenate([stored.data, np.zeros((len(lacks), d, d))])
         order = np.lexsort((rows, columns))
         return cls(rows[order], columns[order], values[order])
 
