@@ -28,7 +28,7 @@ from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg.iteration import Iteration
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 
 LINEAR = 1e-8
 
@@ -101,10 +101,10 @@ def table(sizes: list[int], repeats: int, with_pyamg: bool, factorise: bool) -> 
 
 
 def _factorised(problem: cq.ContactProblem, linear: float) -> str:
-    chosen = os.environ.pop(CHOICE)
-    os.environ[CHOICE] = "pardiso"
+    chosen = os.environ.pop(SOLVER_VARIABLE)
+    os.environ[SOLVER_VARIABLE] = "pardiso"
     seconds, solution = timed(lambda: cq.solve(fresh(problem)))
-    os.environ[CHOICE] = chosen
+    os.environ[SOLVER_VARIABLE] = chosen
     way = f"cq.solve by {solution.work.solver}"
     return f"{way:28s}{seconds:>9.2f}{seconds / linear:>8.2f}  {_peak()}"
 
@@ -120,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--pyamg", action="store_true", help="also the linear solve by pyamg's own solver")
     parser.add_argument("--factorise", action="store_true", help="also cq.solve by PARDISO")
     chosen = parser.parse_args(arguments)
-    os.environ[CHOICE] = "pyamg"
+    os.environ[SOLVER_VARIABLE] = "pyamg"
     print(f"{os.cpu_count()} cores")
     for line in table(chosen.cells, chosen.repeats, chosen.pyamg, chosen.factorise):
         print(line, flush=True)

@@ -41,7 +41,7 @@ def _certificate_with(change: Callable[[Any], Any]) -> Fault:
     def changed(measured: Any) -> Any:
         return lambda *args: change(measured(*args))
 
-    return lambda: _patched(certificate, "_measured", changed)
+    return lambda: _patched(certificate, "_measure", changed)
 
 
 def _tension_forgiven(measured: Any) -> Any:
@@ -140,7 +140,7 @@ def _in_lines(_: Any) -> Any:
 FAULTS: dict[str, Fault] = {
     "none": contextlib.nullcontext,
     "tension": _certificate_with(_tension_forgiven),
-    "sign": lambda: _patched(certificate, "_measured", _sign_ignored),
+    "sign": lambda: _patched(certificate, "_measure", _sign_ignored),
     "bound": _certificate_with(_bound_too_small),
     "scale": lambda: _patched(number_range.NearOne, "whole_answer", _wrong_scale),
     "swallowed": lambda: _patched(runs.Run, "finish", _swallowed),

@@ -56,7 +56,7 @@ AT_BOUND = 4 * EPS
 # The relative error of rates along directions computed from answers.
 RATE_EPS = 64 * EPS
 # In space, the relative rounding of a gap, a force or a slip, and of the friction bound, in doubles.
-LEFT = 64 * EPS
+AT_BORDER = 64 * EPS
 # A slip within this angle of its friction is not due to rounding.
 ALIGNED = 1e-3
 # Slips in space below this part of the lengths at the contact are computed beyond double precision.
@@ -276,8 +276,8 @@ def decided_in_space(
     origin = 0.0 if problem.slip_origin is None else abs(problem.slip_origin)
     along = lengths((abs(problem.tangent) @ u).reshape(slip.shape) + origin)
     drag, slid = answer.friction_force.reshape(slip.shape), lengths(slip)
-    still = slid <= LEFT * along
-    pushes, apart = push > LEFT * np.max(push, initial=0.0), gap > LEFT * met
+    still = slid <= AT_BORDER * along
+    pushes, apart = push > AT_BORDER * np.max(push, initial=0.0), gap > AT_BORDER * met
     for i in grazing[pushes[grazing] & ~apart[grazing]]:
         smooth = problem.friction[i] == 0 or not still[i]
         status[i] = SLIP_ON if smooth else STICK
@@ -289,12 +289,12 @@ def decided_in_space(
     else:
         unit = unknown_scale(problem)
         rounded = np.sqrt(sp.csr_array(problem.normal).power(2) @ unit**2) * np.max(u / unit, initial=0.0)
-        apart = gap > LEFT * (met + rounded)
+        apart = gap > AT_BORDER * (met + rounded)
     grazing = grazing[~apart[grazing]]
     near = (status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push)
     turned = lengths(slip * lengths(drag)[:, None] - drag * slid[:, None])
     status[near & ~still & (turned <= ALIGNED * lengths(drag) * slid)] = SLIP_ON
-    at_bound = np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - LEFT) * problem.friction * push))
+    at_bound = np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - AT_BORDER) * problem.friction * push))
     system = RateSystem(problem, condense(problem), status, Parts(answer.displacement, push, slip, answer.tie_force))
     known = system.answer() if system.regular else None
     sure = known is not None and known.bound is not None and touch(problem, known, grazing)
@@ -452,7 +452,7 @@ class Borders:
         system : the linear system of the states
         errors : whether to return the bounds of its errors instead
         """
-        mu, add = self.problem.friction, 1.0 if errors else -1.0
+        mu, sign = self.problem.friction, 1.0 if errors else -1.0  # errors add up
         assert mu is not None
         _, of_normal, of_tangent, _ = self.scales.units
         of_slip = of_tangent.reshape(self.drag.shape).max(axis=1, initial=0.0)
@@ -477,11 +477,11 @@ class Borders:
             if state == OPEN:
                 signs += [gaps[i]]
             elif state == STICK and grazes and drags.shape[1] == 1:
-                signs += [push[i], room[i] + add * drags[i, 0], room[i] + abs(add) * drags[i, 0]]
+                signs += [push[i], room[i] + sign * drags[i, 0], room[i] + drags[i, 0]]
             elif state == STICK and grazes:
-                signs += [push[i], room[i] + add * float(np.linalg.norm(drags[i]))]
+                signs += [push[i], room[i] + sign * float(np.linalg.norm(drags[i]))]
             elif state == STICK:
-                signs += [room[i] + add * drag[i]]
+                signs += [room[i] + sign * drag[i]]
             else:
                 turns = not grazes or STICK in self.choices(int(i))
                 signs += ([push[i]] if grazes else []) + ([slips[i]] if turns else [])

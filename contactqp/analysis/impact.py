@@ -14,7 +14,7 @@ from contactqp.analysis.history import History, LazySolutions, OnAllRows, events
 from contactqp.analysis.motion.mass_matrix import massless, read_mass, redistributed_mass, touched
 from contactqp.analysis.motion.motion_history import MotionHistory, Moving
 from contactqp.analysis.motion.schemes import SCHEMES, find
-from contactqp.analysis.motion.schemes.scheme import Body, SchemeEntry, SchemeSettings
+from contactqp.analysis.motion.schemes.scheme import SchemeData, SchemeEntry, SchemeSettings
 from contactqp.analysis.motion.time_stepping import MotionRun
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
@@ -165,7 +165,7 @@ def impact(
     if not entry.friction and problem.frictional:
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
     M = _mass(entry, read_mass(mass, n), problem)
-    body, loads = Body(problem, M, float(time_step)), _loads(problem, load)
+    body, loads = SchemeData(problem, M, float(time_step)), _loads(problem, load)
     with one_blas_thread(problem):
         run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
         if "theta" in entry.knobs:  # its law is one of velocities

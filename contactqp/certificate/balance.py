@@ -211,7 +211,7 @@ def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, d
     return np.asarray(forces @ condensation.rigid.coordinates(displacement, problem.diagonal))
 
 
-def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: Vector | None = None) -> float:
+def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, negligible: Vector | None = None) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies.
 
     By duality it is the least relative change t of each outer force after which forces and moments of every body
@@ -224,8 +224,8 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
     answer : Answer
     rigid : RigidMotions
         The null space of K.
-    none : (n,) array, optional
-        The forces up to which there is none at an unknown. On a body without load such forces need not balance.
+    negligible : (n,) array, optional
+        The force up to which there is none at each unknown. On a body without load such forces need not balance.
     """
     if not rigid.count:
         return 0.0
@@ -235,7 +235,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
     # K z is zero up to rounding of K, whose effect is not a lack of balance.
     stray = _left_of_stiffness(problem, rigid) @ abs(answer.displacement)
     size = outer_forces(problem, answer)
-    if none is not None and not problem.load_size.any() and np.all(size <= none):
+    if negligible is not None and not problem.load_size.any() and np.all(size <= negligible):
         return 0.0
     body, moved = bodies(problem), that_move(problem, rigid.motions)
     # If rounding of a large displacement hides the forces, bounds decide, which do not exist with friction.
@@ -248,7 +248,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, none: 
         if not np.any(motions * size[members, None]):
             continue  # no force acts on the moving unknowns
         idle = not problem.load_size[members].any() or np.all(untouched(problem)[members])
-        if idle and none is not None and np.all(size[members] <= none[members]):
+        if idle and negligible is not None and np.all(size[members] <= negligible[members]):
             continue  # rounding by a tie, or of a load component such as F sin(pi)
         work = motions.T @ outer.double()[members]
         mixed = rigid.uncertainty * (abs(motions).T @ size[members])

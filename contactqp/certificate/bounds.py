@@ -440,7 +440,7 @@ def _force_bound(
     return bound, None
 
 
-def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
     """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are zero."""
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
@@ -459,7 +459,7 @@ def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
     for name, what, scale, none, absolute, forgiven in pairs:
         value = getattr(bounds, name)
         if name == "energy_error" and bounds.by_energy:
-            value = bounds.apart  # `failed_energy` judges the energy itself
+            value = bounds.apart  # `energy_failures` judges the energy itself
         if value is None:
             continue
         if scale > none:
@@ -477,7 +477,7 @@ def failed_errors(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
         yield f"force_error: the force of a tie may be off by {part:.3g} of the largest (tolerance {tolerance:.3g})"
 
 
-def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+def energy_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
     """Yield a message if the energy bounds fail, where a problem determines only that; `nothing` [energy] is none."""
     if bounds.energy_bounds is None or not bounds.by_energy:
         return
@@ -488,7 +488,7 @@ def failed_energy(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[
         yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
 
 
-def fails_force_bound(bounds: Bounds, tolerance: float, nothing: float) -> bool:
+def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
     """Return whether the bound on the force of a contact is beyond the tolerance.
 
     Errors up to `nothing` [sqrt(energy)] count as zero on floating bodies, as loads may be far larger than the forces.

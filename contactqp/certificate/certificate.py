@@ -15,10 +15,10 @@ from contactqp.certificate.balance import balance, hides_strain
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
+    energy_failures,
     error_bounds,
-    failed_energy,
-    failed_errors,
-    fails_force_bound,
+    error_failures,
+    force_bound_fails,
     no_bounds,
 )
 from contactqp.certificate.coulomb_law import IMPLIED, coulomb_residual, sticks_on_supports
@@ -40,7 +40,7 @@ from contactqp.linalg.extended import Residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
 from contactqp.linalg.measures import own_compliance, ratio
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model.arrays import (
     CERTIFY,
     ROUNDED_UP,
@@ -157,10 +157,10 @@ def certificate_of(
         problem.refuse_exchanged_arrays()
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             theirs = rows.answer(answer)
-            judged = _judged(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
+            judged = _judge(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
             whole: Certificate = rows.certificate(judged, answer)
         else:
-            whole = _judged(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
+            whole = _judge(problem, answer, tolerance, error_tolerance, factorization, prove_friction)
         everywhere = problem.friction is not None and bool((problem.friction > 0).all())
         if problem.has_idle_rows or not (answer.friction_force is None or everywhere):
             whole = with_forces_without_law(problem, answer, whole)
@@ -169,7 +169,7 @@ def certificate_of(
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """All that is measured on an answer, from which `_worded` writes the certificate."""
+    """All that is measured on an answer, from which `_verdict` writes the certificate."""
 
     found: Violations  # every figure, entry by entry
     balance: float  # the work of the residual on rigid motions, relative to that of the forces
@@ -177,14 +177,14 @@ class _Measured:
     supported: Indices  # contacts that stick where a support carries their friction
     bounds: Bounds
     errors: tuple[str, ...]  # one message for each bound on the whole answer that exceeds its tolerance
-    fails_force_bound: bool  # whether the bound on the force of a contact is beyond the tolerance
+    force_bound_fails: bool  # whether the bound on the force of a contact is beyond the tolerance
     grazing: Mask  # (m,) contacts whose gap and force both vanish
     dependent: tuple[tuple[int, Indices], ...]  # ties that depend on others, each with these
     others: Uniqueness  # with friction: whether other equilibria exist
     state: StateVerdict  # the basis of the verdict; with friction: the comparison with the answer of the same states
 
 
-def _judged(
+def _judge(
     problem: ContactProblem,
     answer: Answer,
     tolerance: float,
@@ -199,11 +199,11 @@ def _judged(
         if absurd := tuple(_absurd_parts(seen)):
             failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
             return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance, messages.ABSURD_ANSWER)
-        measured = _measured(scaled, seen, tolerance, error_tolerance, None if near else factorization, prove_friction)
+        measured = _measure(scaled, seen, tolerance, error_tolerance, None if near else factorization, prove_friction)
     if near is not None:
         found = replace(near.violations(measured.found), gap=problem.gap - problem.normal @ answer.displacement)
         measured = replace(measured, found=found, bounds=near.bounds(measured.bounds))
-    return _worded(problem, answer, measured, tolerance, error_tolerance)
+    return _verdict(problem, answer, measured, tolerance, error_tolerance)
 
 
 def _absurd_parts(answer: Answer) -> Iterator[tuple[str, int]]:
@@ -226,7 +226,7 @@ class _Basis:
     state: StateVerdict | None = None  # with friction and many contacts: found among those that can close
 
 
-def _measured(
+def _measure(
     problem: ContactProblem,
     answer: Answer,
     tolerance: float,
@@ -249,9 +249,9 @@ def _measured(
     nothing = allowed[1] * found.intrinsic_size
     strained = max(found.intrinsic_size, state.energy)
     hidden = bool(rigid.count) and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
-    if off := fails_force_bound(bounds, error_tolerance, 0.0):
-        off = fails_force_bound(bounds, error_tolerance, _no_force(problem, error_tolerance, nothing))
-    if problem.frictional and (off or any(failed_errors(bounds, error_tolerance, nothing))):
+    if off := force_bound_fails(bounds, error_tolerance, 0.0):
+        off = force_bound_fails(bounds, error_tolerance, _no_force(problem, error_tolerance, nothing))
+    if problem.frictional and (off or any(error_failures(bounds, error_tolerance, nothing))):
         bounds = replace(no_bounds(SAYS_LESS), energy_scale=state.energy)
     return _Measured(
         found=found,
@@ -261,11 +261,11 @@ def _measured(
         bounds=bounds,
         errors=(
             *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
-            *failed_errors(bounds, error_tolerance, nothing),
-            *failed_energy(bounds, tolerance, nothing * nothing),
+            *error_failures(bounds, error_tolerance, nothing),
+            *energy_failures(bounds, tolerance, nothing * nothing),
             *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),
         ),
-        fails_force_bound=off,
+        force_bound_fails=off,
         grazing=grazes(answer, found, own_compliance(problem, problem.normal), bounds, tolerance),
         dependent=dependent,
         others=others,
@@ -314,7 +314,7 @@ def _dependent_ties(
     return dependent_sparse_ties(problem) if bounds.redundant else ()
 
 
-def _worded(
+def _verdict(
     problem: ContactProblem, answer: Answer, measured: _Measured, tolerance: float, error_tolerance: float
 ) -> Certificate:
     """Return the certificate; the answer passes if no figure, law, bound or comparison of states yields a failure."""
@@ -327,7 +327,7 @@ def _worded(
     if law is not None and not np.all(law <= IMPLIED * tolerance):
         failures.append(messages.of_law(problem, law, int(np.argmax(law)), IMPLIED * tolerance))
     failures += measured.errors
-    if measured.fails_force_bound and bounds.relative_force_bound is not None:
+    if measured.force_bound_fails and bounds.relative_force_bound is not None:
         worst = int(np.argmax(bounds.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, bounds, worst, error_tolerance))
     failures += measured.state.failures
@@ -407,7 +407,7 @@ def _basis(
     allowed: tuple[float, float],
 ) -> _Basis:
     """Choose the systems by which an answer is judged, and compute its residual and its bounds without friction."""
-    at_once = factorization is not None or (problem.is_small and not os.environ.get(CHOICE))
+    at_once = factorization is not None or (problem.is_small and not os.environ.get(SOLVER_VARIABLE))
     systems = Systems.CONDENSED if at_once else systems_of(problem)
     proves = prove_friction and problem.frictional
     if systems is Systems.ITERATED:

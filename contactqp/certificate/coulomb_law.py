@@ -35,7 +35,7 @@ from contactqp.linalg.measures import (
 )
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Nothing, Violations
+from contactqp.model.solution import Answer, NegligibleSizes, Violations
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,29 +124,29 @@ def hardly_felt(compliances: tuple[Vector, Array], normal: Any, tangent: Any) ->
     return np.asarray(weak.any(axis=1))
 
 
-def slips_that_are_nothing(none: Nothing, hardly: Mask) -> Nothing:
-    """Return `none` with the length of the normal row instead of the slip's for contacts of `hardly_felt` (m,)."""
+def with_negligible_slips(negligible: NegligibleSizes, hardly: Mask) -> NegligibleSizes:
+    """Return `negligible` with the length of the normal row in the place of the slip's where `hardly_felt` (m,)."""
     if not hardly.any():
-        return none
-    slip = none.tangent.reshape(len(hardly), -1)
-    along = np.maximum(slip, none.normal[:, None])
-    return replace(none, tangent=np.where(hardly[:, None], along, slip).ravel())
+        return negligible
+    slip = negligible.tangent.reshape(len(hardly), -1)
+    along = np.maximum(slip, negligible.normal[:, None])
+    return replace(negligible, tangent=np.where(hardly[:, None], along, slip).ravel())
 
 
-def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, none: Vector) -> Vector:
-    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact; forces up to `none` (n,) count as
-    zero.
+def vector_measure(entries: ContactEntries, force: Array, meeting: Vector, negligible: Vector) -> Vector:
+    """Return max_j |E_i'v|_j / F_j (m,) of a force vector v (m, w) at each contact, without forces up to `negligible`
+    (n,).
 
     Parameters
     ----------
     entries : the entries of the rows of each contact
     force : (m, w) array [force]
     meeting : (n,) array [force], F_j, what meets at each unknown
-    none : (n,) array [force], up to which a force counts as zero
+    negligible : (n,) array [force], up to which a force counts as zero
     """
     if not force.any():
         return np.zeros(entries.contacts)
-    acting = beyond(abs(entries.forces(force)), none[entries.unknown])
+    acting = beyond(abs(entries.forces(force)), negligible[entries.unknown])
     return entries.largest(ratio(acting, meeting[entries.unknown])[None])
 
 
@@ -212,19 +212,19 @@ def slips_of(problem: ContactProblem, displacement: Vector) -> Slips | None:
     return Slips(slip, HELD_BY_DOUBLES * lengths_across(problem, displacement), hardly)
 
 
-def coulomb_data(problem: ContactProblem, found: Slips, F: Vector, none: Vector) -> CoulombData | None:
+def coulomb_data(problem: ContactProblem, found: Slips, F: Vector, negligible: Vector) -> CoulombData | None:
     """Return the data by which Coulomb's law is judged, None without friction.
 
     Parameters
     ----------
     problem : ContactProblem
     found : the slips of the answer
-    F, none : (n,) arrays, the forces that meet at each unknown, and those that count as none [force]
+    F, negligible : (n,) arrays, the forces that meet at each unknown, and those that count as negligible [force]
     """
     if problem.friction is None:
         return None
-    across = ForcesMet(contact_entries(problem, "tangent"), F, none)
-    measure = friction_measure(across, ForcesMet(contact_entries(problem, "normal"), F, none), found.hardly)
+    across = ForcesMet(contact_entries(problem, "tangent"), F, negligible)
+    measure = friction_measure(across, ForcesMet(contact_entries(problem, "normal"), F, negligible), found.hardly)
     return CoulombData(found.slip, found.rounding, problem.friction, measure)
 
 
@@ -257,7 +257,7 @@ def bare_infinite(rows: Any, compliance: Vector, diagonal: Vector) -> Vector:
 
 
 def friction_figures(
-    answer: Any, coulomb: CoulombData, meeting: Vector, none: Nothing
+    answer: Any, coulomb: CoulombData, meeting_lengths: Vector, negligible: NegligibleSizes
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return `cone`, `slip_direction`, the measure of the slip, and the change of force by rounding of a small slip.
 
@@ -265,11 +265,11 @@ def friction_figures(
     ----------
     answer : Answer, with friction forces (m, d-1)
     coulomb : slips, their rounding, and the coefficients of friction
-    meeting : (m,) array [length], the lengths that meet along the tangential rows of each contact
-    none : lengths and forces that count as zero
+    meeting_lengths : (m,) array [length], the lengths that meet along the tangential rows of each contact
+    negligible : lengths and forces that count as zero
     """
     force = answer.friction_force
-    slip = slips(coulomb.slip, none)
+    slip = slips_beyond(coulomb.slip, negligible)
     moved = lengths(slip)
     bound = coulomb.friction * np.maximum(answer.normal_force, 0.0)
     excess = np.maximum(lengths(force) - bound, 0.0)[:, None] * directions(force)
@@ -277,13 +277,13 @@ def friction_figures(
     turned = bound * np.minimum(part, 1.0) if slip.shape[1] > 1 else np.zeros(len(bound))
     off = force - bound[:, None] * directions(slip)
     wrong = np.maximum(lengths(off) - turned, 0.0)[:, None] * directions(off)
-    slip_measure = ratio(moved, meeting)
+    slip_measure = ratio(moved, meeting_lengths)
     return coulomb.measure(excess), np.minimum(slip_measure, coulomb.measure(wrong)), slip_measure, turned
 
 
-def slips(slip: Array, none: Nothing) -> Array:
-    """Return slips (m, d-1), with those that count as zero set to zero."""
-    least = lengths(none.tangent.reshape(slip.shape))
+def slips_beyond(slip: Array, negligible: NegligibleSizes) -> Array:
+    """Return slips (m, d-1), with negligible ones set to zero."""
+    least = lengths(negligible.tangent.reshape(slip.shape))
     return np.asarray(np.where(((lengths(slip) <= least) & np.isfinite(least))[:, None], 0.0, slip))
 
 
@@ -325,7 +325,7 @@ def law_residual(
     nothing : (m,) array, the second of `normal_forces`: contact forces up to which there is none
     """
     (slip, friction), (along, across, felt), least = sliding, unit, nothing
-    slip = np.where(felt[:, None], slips(slip, found.nothing), 0.0)
+    slip = np.where(felt[:, None], slips_beyond(slip, found.nothing), 0.0)
     gap = np.where(found.gap_measure > 0, found.gap, 0.0)
     L = np.maximum(found.lengths, np.where(felt, found.tangential_lengths, 0.0))
     # For rigidly moving bodies only gap and slip themselves are lengths, relative to which forces would vanish.
@@ -341,13 +341,13 @@ def law_residual(
     return beyond(missed, least * per_force)
 
 
-def normal_forces(entries: ContactEntries, meeting: Vector, none: Vector) -> tuple[Vector, Vector]:
+def normal_forces(entries: ContactEntries, meeting: Vector, negligible: Vector) -> tuple[Vector, Vector]:
     """Return the l_N whose measure is one and the largest that counts as zero, (m,) each.
 
-    The first has max_j |E_ij l_N| / F_j = 1 and is zero where no force meets; the second is at most `none` (n,) at
-    every unknown of its contact.
+    The first has max_j |E_ij l_N| / F_j = 1 and is zero where no force meets; the second has no force beyond
+    `negligible` (n,) at any unknown of its contact.
     """
-    nothing = entries.largest(ratio(abs(entries.values), none[entries.unknown]))
+    nothing = entries.largest(ratio(abs(entries.values), negligible[entries.unknown]))
     unit, meets = entries.largest(entries.over(meeting)), entries.meets(meeting)
     return np.where(meets, reciprocal(unit), 0.0), reciprocal(nothing)
 

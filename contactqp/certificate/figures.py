@@ -31,7 +31,7 @@ from contactqp.certificate.coulomb_law import (
     friction_figures,
     lengths_across,
     slips_of,
-    slips_that_are_nothing,
+    with_negligible_slips,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import REGULAR, RigidMotions, SaddlePoint, orthonormal, saddle_point
@@ -43,7 +43,7 @@ from contactqp.linalg.measures import (
     forces_that_meet,
     inner_forces,
     intrinsic_size,
-    nothing,
+    negligible_sizes,
     outer_forces,
     parts,
     ratio,
@@ -53,7 +53,7 @@ from contactqp.linalg.measures import (
 from contactqp.linalg.refinement import CAUTION, LEAST_CONTRACTION
 from contactqp.model.arrays import EPS, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Certificate, Nothing, Violations
+from contactqp.model.solution import Answer, Certificate, NegligibleSizes, Violations
 
 T = TypeVar("T")
 
@@ -101,14 +101,14 @@ def violations(
     rigid : the null space of K; none where no body floats
     """
     elastic, size, sizes, slips = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
-    none, F, coulomb = nothing(problem, answer, elastic, size, rounding), sizes.meeting, None
-    least = none.force if none.contact_force is None else none.contact_force
+    negligible, F, coulomb = negligible_sizes(problem, answer, elastic, size, rounding), sizes.meeting, None
+    least = negligible.force if negligible.contact_force is None else negligible.contact_force
     felt = row_sizes(problem, problem.normal).measure(answer.normal_force, F, least)
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()
     if slips is not None:
-        none = slips_that_are_nothing(none, slips.hardly)
-        coulomb = coulomb_data(problem, slips, F, none.force)
-    return figures(answer, missed, sizes, none, felt, coulomb)
+        negligible = with_negligible_slips(negligible, slips.hardly)
+        coulomb = coulomb_data(problem, slips, F, negligible.force)
+    return figures(answer, missed, sizes, negligible, felt, coulomb)
 
 
 def kept_residuals(problem: ContactProblem, answer: Answer) -> Residuals:
@@ -212,7 +212,7 @@ def figures(
     answer: Any,
     missed: tuple[Vector, Vector, Vector],
     sizes: Sizes,
-    none: Nothing,
+    negligible: NegligibleSizes,
     felt: Vector,
     coulomb: CoulombData | None,
 ) -> Violations:
@@ -225,8 +225,8 @@ def figures(
         Its residuals of equilibrium, its gaps, and what its ties miss.
     sizes : Sizes
         The forces and lengths by which they are measured.
-    none : Nothing
-        Those that count as none.
+    negligible : NegligibleSizes
+        Those that count as negligible.
     felt : (m,) array
         |l_N| as a force, 0 where it is nothing.
     coulomb : CoulombData or None
@@ -236,17 +236,17 @@ def figures(
     if coulomb is None or answer.friction_force is None:
         cone = direction = slip_measure = turned = np.zeros(len(answer.normal_force))
     else:
-        cone, direction, slip_measure, turned = friction_figures(answer, coulomb, sizes.tangential_lengths, none)
-    gap_measure = ratio(beyond(abs(gap), none.normal), sizes.lengths)
+        cone, direction, slip_measure, turned = friction_figures(answer, coulomb, sizes.tangential_lengths, negligible)
+    gap_measure = ratio(beyond(abs(gap), negligible.normal), sizes.lengths)
     return Violations(
-        equilibrium=ratio(beyond(abs(residual), none.force), sizes.meeting),
+        equilibrium=ratio(beyond(abs(residual), negligible.force), sizes.meeting),
         residual=residual,
         penetration=np.where(gap < 0, gap_measure, 0.0),
         tension=np.where(answer.normal_force < 0, felt, 0.0),
         complementarity=np.where((gap > 0) & (answer.normal_force > 0), np.minimum(gap_measure, felt), 0.0),
         cone=cone,
         slip_direction=direction,
-        tie=ratio(beyond(abs(open_tie), none.tie), sizes.tie_lengths),
+        tie=ratio(beyond(abs(open_tie), negligible.tie), sizes.tie_lengths),
         slip_measure=slip_measure,
         turned=turned,
         lengths=sizes.lengths,
@@ -256,7 +256,7 @@ def figures(
         force_measure=sizes.push,
         meeting=sizes.meeting,
         intrinsic_size=sizes.intrinsic_size,
-        nothing=none,
+        nothing=negligible,
     )
 
 

@@ -28,7 +28,7 @@ from contactqp.linalg.krylov import IndependentRows
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, forces_that_meet, row_sizes
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Certificate, Nothing, Violations
+from contactqp.model.solution import Answer, Certificate, NegligibleSizes, Violations
 
 # The arrays of `Violations` with an entry for every contact.
 _OF_CONTACTS = (
@@ -262,7 +262,7 @@ class ActingRows:
         tie = _spread(whole.ties, self.ties, found.tie, unmet)
         return replace(replace(found, tie=tie, nothing=self._nothing(found.nothing)), **spread)
 
-    def _nothing(self, nothing: Nothing) -> Nothing:
+    def _nothing(self, nothing: NegligibleSizes) -> NegligibleSizes:
         """Return the negligible sizes of all rows; on rows of zeros only zero is negligible."""
         whole = self.whole
         tangent = nothing.tangent
@@ -273,7 +273,7 @@ class ActingRows:
                 across[self.contacts] = tangent.reshape(len(self.contacts), shape[1])
             tangent = across.ravel()
         tie = _spread(whole.ties, self.ties, nothing.tie)
-        return Nothing(nothing.force, self._contacts(nothing.normal), tangent, tie, nothing.contact_force)
+        return NegligibleSizes(nothing.force, self._contacts(nothing.normal), tangent, tie, nothing.contact_force)
 
     def _failures(self, found: Violations, answer: Answer, tolerance: float) -> Iterator[str]:
         whole, idle = self.whole, _others(self.whole.contacts, self.contacts)

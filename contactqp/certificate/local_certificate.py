@@ -40,7 +40,7 @@ from contactqp.linalg.delassus import velocity_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import EPS, Array, Mask, Vector, own_floating_point
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, slips
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_array
@@ -231,7 +231,7 @@ def siconos_global_error(
     dragged = _shaped("friction_force", friction_force, problem.slip_origin.shape)
     inner = problem.stiffness_rows @ v
     outer = -(problem.normal.T @ pressed) - problem.tangent.T @ dragged.ravel()
-    slip = (problem.tangent @ v).reshape(dragged.shape) - problem.slip_origin
+    slip: Any = slips(problem, v)
     u, r = np.column_stack([problem.gap - problem.normal @ v, slip]), np.column_stack([pressed, -dragged])
     balance = _scaled(problem.load + outer - inner, problem.load, inner, outer)
     return balance + _scaled(natural_map(r, u, problem.friction), u, r)

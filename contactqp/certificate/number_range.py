@@ -26,7 +26,7 @@ from contactqp.model.computed import Computed
 from contactqp.model.names import describe_proof
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import FARTHEST, are_near_one
-from contactqp.model.solution import Answer, FreeMotion, Nothing, Violations
+from contactqp.model.solution import Answer, FreeMotion, NegligibleSizes, Violations
 
 # Displacements and forces beyond this (1e60), in units in which the problem's numbers are near one, are absurd.
 ABSURD = 2.0**200
@@ -149,7 +149,7 @@ class NearOne:
         force, normal, slip = self.length - self.unknowns, self.length + self.contacts, self.length + self.tangents
         few = found.nothing
         width = len(few.tangent) // len(slip) if len(slip) else 1
-        nothing = Nothing(
+        nothing = NegligibleSizes(
             np.ldexp(few.force, force),
             np.ldexp(few.normal, normal),
             np.ldexp(few.tangent, np.repeat(slip, width)),

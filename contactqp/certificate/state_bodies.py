@@ -14,7 +14,7 @@ import numpy as np
 
 from contactqp.certificate import messages
 from contactqp.certificate.balance import PUSHED_BY_ROUNDING, RESISTED
-from contactqp.certificate.bounds import Bounds, error_bounds, failed_errors, fails_force_bound
+from contactqp.certificate.bounds import Bounds, error_bounds, error_failures, force_bound_fails
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
@@ -398,9 +398,9 @@ def with_friction_held(
         bounds = error_bounds(minimised, held, residuals(minimised, held), condensation)
     pairs = ((bounds.energy_error, bounds.energy_scale), (bounds.force_error, bounds.force_scale))
     far = [error for error, scale in pairs if error is not None and error * (scale or 1.0) > nothing]
-    words = failed_errors(bounds, tolerance, nothing) if far else ()
+    words = error_failures(bounds, tolerance, nothing) if far else ()
     failures = tuple(f"with friction held, {text}" for text in words)
-    if fails_force_bound(bounds, tolerance, nothing):
+    if force_bound_fails(bounds, tolerance, nothing):
         assert bounds.relative_force_bound is not None
         worst = int(np.argmax(bounds.relative_force_bound))
         failures += (f"with friction held, {messages.of_force_bound(problem, answer, bounds, worst, tolerance)}",)

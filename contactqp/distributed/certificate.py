@@ -10,7 +10,7 @@ import numpy as np
 
 from contactqp.certificate import messages
 from contactqp.certificate.balance import NO_RESULTANT, Resultants, resultants
-from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, failed_errors, fails_force_bound, no_bounds
+from contactqp.certificate.bounds import FRICTION_HAS_NONE, Bounds, error_failures, force_bound_fails, no_bounds
 from contactqp.certificate.certificate import ROUNDING_OF_ANSWERS, grazes
 from contactqp.certificate.coulomb_law import IMPLIED
 from contactqp.certificate.figures import status_words
@@ -113,7 +113,7 @@ class CuttingPlanes:
         return np.asarray(found.x[:width]), float(found.x[width])
 
 
-def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: Vector) -> float:
+def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, negligible: Vector) -> float:
     """Return the largest |z'r| / |z|'(|f| + |E|'|l| + |A|'|nu|) over all rigid motions z of the bodies. Collective.
 
     The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of w_j = z_j
@@ -124,8 +124,8 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
     ----------
     problem, answer : those of all ranks
     bodies : the bodies, each with its home
-    none : (n_here,) array [force], up to which forces are rounding: those on unknowns that nothing touches, such as
-        F sin(pi), and all that act on a body without load
+    negligible : (n_here,) array [force], up to which forces are rounding: those on unknowns that nothing touches,
+        such as F sin(pi), and all that act on a body without load
 
     Raises
     ------
@@ -137,14 +137,14 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, none: V
         return 0.0
     Z, u = floating.motions, abs(answer.displacement)
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
-    rounding = untouched(problem) & (size <= none)
+    rounding = untouched(problem) & (size <= negligible)
     outer[rounding] = size[rounding] = 0.0
     # K z is zero up to rounding of K, whose product with the displacement is no imbalance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
     spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)
     # Bodies without load need no balance if all forces on them are negligible.
-    heard = bodies.totals(((size > none) | (problem.load != 0)).astype(float)[:, None])
+    heard = bodies.totals(((size > negligible) | (problem.load != 0)).astype(float)[:, None])
     at_home = [i for i, (values, _) in enumerate(spectra) if values[0] > 0 and np.any(heard[i] > 0)]
     searches = {i: _WorstMotion(resultants(*spectra[i], work[i], stray[i])) for i in at_home}
     columns.set_basis({i: search.resultants.weight for i, search in searches.items()})
@@ -288,7 +288,7 @@ def certify_distributed(
     failures = [
         *_failed_figures(problem, answer, found, figures, tolerance),
         *_failed_law(problem, law, natural_map, IMPLIED * tolerance),
-        *failed_errors(error_bounds, error_tolerance, ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size),
+        *error_failures(error_bounds, error_tolerance, ROUNDING_OF_ANSWERS * tolerance * found.intrinsic_size),
         *_failed_force_bound(problem, answer, error_bounds, error_tolerance),
     ]
     grazing, names = _grazing(problem, answer, found, error_bounds, tolerance)
@@ -373,7 +373,7 @@ def _failed_force_bound(
     problem: DistributedProblem, answer: Answer, bounds: Bounds, error_tolerance: float
 ) -> list[str]:
     relative = bounds.relative_force_bound
-    if not problem.ranks.any(fails_force_bound(bounds, error_tolerance, 0.0)) or relative is None:
+    if not problem.ranks.any(force_bound_fails(bounds, error_tolerance, 0.0)) or relative is None:
         return []
     message = partial(messages.of_force_bound, problem, answer, bounds, tolerance=error_tolerance)
     return [message_of_largest(problem.ranks, relative, problem.contact_number, message)]

@@ -131,7 +131,7 @@ class Checkpoint:
         The value of each number is sent to rank number mod size, and requested from there.
         """
         ranks = self._ranks
-        numbers, values = ranks.exchanged(numbers % ranks.size, numbers, values)
+        numbers, values = ranks.exchange(numbers % ranks.size, numbers, values)
         order = np.argsort(numbers)
         numbers, values = numbers[order], values[order]
 

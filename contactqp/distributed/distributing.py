@@ -219,7 +219,7 @@ class _Sharing:
     def _rows(self, counts: Indices, values: Any) -> NDArray[Any]:
         """Return this rank's rows of an array whose first counts[0] rows belong to rank 0, ..."""
         if self._from_first:
-            return self._ranks.scattered(counts, values)
+            return self._ranks.scatter(counts, values)
         begin = int(counts[: self._ranks.rank].sum())
         return np.asarray(values)[begin : begin + int(counts[self._ranks.rank])]
 
@@ -246,12 +246,12 @@ def problem_from_share(ranks: Ranks, share: ProblemRows) -> DistributedProblem:
     size = block_size(K)
     numbering = Numbering(ranks, K, size)
     owner = np.repeat(numbering.owner, size)
-    load, body, motions, dof_names, dof_number = ranks.exchanged(
+    load, body, motions, dof_names, dof_number = ranks.exchange(
         owner, share.load, share.body, share.motions, share.dof_names, _numbers(ranks, share.load)
     )
     stiffness = _matrix(ranks, K, numbering)
     columns, owner = _new_columns(share.normal, numbering)
-    gap, friction, origin, contact_names, contact_number = ranks.exchanged(
+    gap, friction, origin, contact_names, contact_number = ranks.exchange(
         owner, share.gap, share.friction, share.slip_origin, share.contact_names, _numbers(ranks, share.gap)
     )
     normal = Rows.from_csr(_moved(ranks, share.normal, columns, owner), stiffness)
@@ -261,7 +261,7 @@ def problem_from_share(ranks: Ranks, share: ProblemRows) -> DistributedProblem:
         rows = _moved(ranks, share.tangent, columns, np.repeat(owner, width))
         tangential = {"tangent": Rows.from_csr(rows, stiffness), "friction": friction, "slip_origin": origin}
     columns, owner = _new_columns(share.tie, numbering)
-    tie_value, tie_names, tie_number = ranks.exchanged(
+    tie_value, tie_names, tie_number = ranks.exchange(
         owner, share.tie_value, share.tie_names, _numbers(ranks, share.tie_value)
     )
     hinted = share.from_near_null_space
@@ -309,8 +309,8 @@ def _moved(ranks: Ranks, rows: Any, columns: Index, owner: Indices) -> Any:
     counts = np.bincount(owner, minlength=ranks.size)
     ends = np.append(0, np.cumsum(lengths))
     stored = np.diff(ends[np.append(0, np.cumsum(counts))])
-    (received,) = ranks.sent(counts, lengths)
-    indices, data = ranks.sent(stored, columns[entries], rows.data[entries])
+    (received,) = ranks.send(counts, lengths)
+    indices, data = ranks.send(stored, columns[entries], rows.data[entries])
     size = block_size(rows)
     kind = sp.csr_matrix if size == 1 else sp.bsr_matrix
     return kind((data, indices, np.append(0, np.cumsum(received))), shape=(size * len(received), rows.shape[1]))

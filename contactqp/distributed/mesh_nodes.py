@@ -57,7 +57,7 @@ class Nodes:
     def summed(self, values: Array) -> Array:
         """Return the sums (k, c) at own nodes of the values (N, c) at the nodes of each rank. Collective."""
         total = values[self.own]
-        place, added = self.ranks.exchanged(self.owners[self.ghosts], self.place[self.ghosts], values[self.ghosts])
+        place, added = self.ranks.exchange(self.owners[self.ghosts], self.place[self.ghosts], values[self.ghosts])
         np.add.at(total, place - self.first, added)
         return np.asarray(total)
 
@@ -275,7 +275,7 @@ def _row_lengths(bodies: Sequence[Body], nodes: Nodes) -> tuple[Index, Index]:
     row = np.repeat(np.arange(len(nodes.numbers)), np.diff(meeting.indptr))
     place, other = nodes.place[row], nodes.place[meeting.indices]
     foreign = nodes.owners[row] != ranks.rank
-    rows, columns = ranks.exchanged(nodes.owners[row[foreign]], place[foreign], other[foreign])
+    rows, columns = ranks.exchange(nodes.owners[row[foreign]], place[foreign], other[foreign])
     touched = np.zeros(count, dtype=bool)
     touched[rows - first] = True
     # Only rows with contributions of other ranks may have repeated columns.

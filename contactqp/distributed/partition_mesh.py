@@ -124,7 +124,7 @@ class FileSource:
                 nodes, marks = mesh.blocks[i].nodes, self._marks(mesh, first, len(mesh.blocks[i]), len(kind.facets))
                 first += len(nodes)
             share = np.arange(len(nodes)) * self.ranks.size // max(len(nodes), 1)
-            found.append(Share(kind, *self.ranks.exchanged(share, nodes, marks)))
+            found.append(Share(kind, *self.ranks.exchange(share, nodes, marks)))
         return found
 
     def _marks(self, mesh: Mesh, first: int, count: int, facets: int) -> Index:
@@ -358,7 +358,7 @@ def partition_meshes(ranks: Ranks, sources: Sequence[Source]) -> list[MeshPiece]
         for place, share in enumerate(some):
             destination = owner[at : at + len(share.nodes)]
             at += len(share.nodes)
-            some[place] = Share(share.kind, *ranks.exchanged(destination, share.nodes, share.marks))
+            some[place] = Share(share.kind, *ranks.exchange(destination, share.nodes, share.marks))
         pieces.append(_piece(ranks, source, some))
     return pieces
 
@@ -415,7 +415,7 @@ def _named(ranks: Ranks, source: Source, mesh: MeshPiece) -> MeshPiece:
         for block in mesh.facets_of(mesh.sides[name]) if name in mesh.sides else ():
             bits[block.nodes] |= 1 << bit
     ghost = np.flatnonzero((owners != ranks.rank) & (bits > 0))
-    node, added = ranks.exchanged(owners[ghost], numbers[ghost], bits[ghost])  # facets of other ranks on own nodes
+    node, added = ranks.exchange(owners[ghost], numbers[ghost], bits[ghost])  # facets of other ranks on own nodes
     np.bitwise_or.at(bits, np.searchsorted(numbers[:owned], node), added)
     own = {name: np.flatnonzero(bits[:owned] & (1 << bit)) for bit, name in enumerate(source.sides)}
     faceless = []

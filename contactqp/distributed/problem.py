@@ -172,7 +172,7 @@ class Bodies:
         self._first = np.searchsorted(self.index[self._order], np.arange(len(self.numbers) + 1))
         self._home = self.numbers % ranks.size
         here = np.full(len(self.numbers), ranks.rank)
-        received, self._from = ranks.exchanged(self._home, self.numbers, here)
+        received, self._from = ranks.exchange(self._home, self.numbers, here)
         at_home, self._place = np.unique(received, return_inverse=True)
         self.count = len(at_home)
 
@@ -195,7 +195,7 @@ class Bodies:
 
     def at_homes(self, values: NDArray[Any]) -> tuple[NDArray[Any], Indices]:
         """Return the values (q, ...) of all ranks at the homes, and for each the index of its body below `count`."""
-        (received,) = self._ranks.exchanged(self._home, values)
+        (received,) = self._ranks.exchange(self._home, values)
         return received, self._place
 
     def sums(self, values: Array) -> Array:
@@ -207,7 +207,7 @@ class Bodies:
 
     def from_homes(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the values (q, ...) for the bodies on this rank from those at their homes, (count, ...) each."""
-        (received,) = self._ranks.exchanged(self._from, values[self._place])
+        (received,) = self._ranks.exchange(self._from, values[self._place])
         found = np.empty_like(received)
         found[np.argsort(self._home, kind="stable")] = received
         return found

@@ -214,12 +214,12 @@ class Ranks:
         """Return the concatenated arrays of all ranks, which should be small."""
         return np.concatenate(self.comm.allgather(np.asarray(values)))
 
-    def exchanged(self, destination: Indices, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    def exchange(self, destination: Indices, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Send row i of each array to rank destination[i]; return the received rows in the order of their senders."""
         order = np.argsort(destination, kind="stable")
-        return self.sent(np.bincount(destination, minlength=self.size), *(np.asarray(array)[order] for array in arrays))
+        return self.send(np.bincount(destination, minlength=self.size), *(np.asarray(array)[order] for array in arrays))
 
-    def sent(self, counts: NDArray[Any], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    def send(self, counts: NDArray[Any], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Send the first counts[0] rows of each array to rank 0, the next counts[1] to rank 1, ...
 
         Returns the received rows in the order of their senders. Arrays of objects, and arrays whose row types differ
@@ -233,9 +233,9 @@ class Ranks:
         if np.any(received[:, 2] != received[0, 2]) or received[0, 2] == _OBJECTS:
             return self._pickled(counts, arrays)
         rounds = _rounds(int(received[:, 1].max()))
-        return tuple(self._sent(rounds, counts, received[:, 0], array) for array in arrays)
+        return tuple(self._send(rounds, counts, received[:, 0], array) for array in arrays)
 
-    def _sent(self, rounds: int, counts: NDArray[Any], received: NDArray[Any], array: NDArray[Any]) -> NDArray[Any]:
+    def _send(self, rounds: int, counts: NDArray[Any], received: NDArray[Any], array: NDArray[Any]) -> NDArray[Any]:
         rows = np.ascontiguousarray(array)
         out = np.empty((int(received.sum()), *rows.shape[1:]), dtype=rows.dtype)
         if not _row_bytes(rows):
@@ -252,14 +252,14 @@ class Ranks:
         received = self.comm.alltoall([tuple(part[rank] for part in parts) for rank in range(self.size)])
         return tuple(np.concatenate([part[i] for part in received]) for i in range(len(arrays)))
 
-    def scattered(self, counts: NDArray[Any], values: NDArray[Any] | None) -> NDArray[Any]:
+    def scatter(self, counts: NDArray[Any], values: NDArray[Any] | None) -> NDArray[Any]:
         """Return this rank's rows of an array that only the first rank has; the others pass None.
 
         The first counts[0] rows stay, the next counts[1] go to rank 1, ... Only the part of each rank is copied.
         """
         dtype, shape = self.broadcast(None if values is None else (values.dtype, values.shape[1:]))
         rows = np.empty((0, *shape), dtype=dtype) if values is None else values
-        return self.sent(np.zeros_like(counts) if values is None else counts, rows)[0]
+        return self.send(np.zeros_like(counts) if values is None else counts, rows)[0]
 
     def broadcast(self, value: T) -> Any:
         """Return a small value of the first rank."""
@@ -346,8 +346,8 @@ def ask_ranks(ranks: Ranks, owners: NDArray[Any], requests: NDArray[Any], reply:
         it once, so that it may be collective.
     """
     place = np.arange(len(requests))
-    received, places, sender = ranks.exchanged(owners, requests, place, np.full(len(place), ranks.rank))
-    back, *replies = ranks.exchanged(sender, places, *reply(received, sender))
+    received, places, sender = ranks.exchange(owners, requests, place, np.full(len(place), ranks.rank))
+    back, *replies = ranks.exchange(sender, places, *reply(received, sender))
     order = np.empty(len(back), dtype=np.int64)
     order[back] = np.arange(len(back))
     return tuple(part[order] for part in replies)
@@ -379,8 +379,8 @@ def rows_of_other_ranks(
         For each entry its row's place in `wanted`, its column, and its value.
     """
     owner = np.searchsorted(starts, wanted, side="right") - 1
-    place, number, sender = ranks.exchanged(owner, np.arange(len(wanted)), wanted, np.full(len(wanted), ranks.rank))
+    place, number, sender = ranks.exchange(owner, np.arange(len(wanted)), wanted, np.full(len(wanted), ranks.rank))
     entries, counts = entries_of_rows(rows.indptr, number - starts[ranks.rank])
     column = rows.indices[entries] if columns is None else columns[rows.indices[entries]]
-    found = ranks.exchanged(np.repeat(sender, counts), np.repeat(place, counts), column, rows.data[entries])
+    found = ranks.exchange(np.repeat(sender, counts), np.repeat(place, counts), column, rows.data[entries])
     return found[0], found[1], found[2]

@@ -271,7 +271,7 @@ class _Blocks:
             rows = blocks.rows(begin, begin + len(here.indptr) - 1)
             product = product + sp.bsr_matrix(rows.T @ moved, blocksize=blocksize)
         owner = np.searchsorted(starts // size, (row := _rows_of_entries(product)), side="right") - 1
-        row, column, values = self._ranks.exchanged(owner, row, product.indices, product.data)
+        row, column, values = self._ranks.exchange(owner, row, product.indices, product.data)
         first, last = starts[self._ranks.rank], starts[self._ranks.rank + 1]
         shape = (int(last - first), product.shape[1])
         return block_matrix(self._comm, _bsr(row - first // size, column, values, shape))

@@ -38,7 +38,7 @@ from contactqp.model.solution import (
     Certificate,
     FreeMotion,
     HoldsAnswer,
-    Nothing,
+    NegligibleSizes,
     Solution,
     Violations,
     Work,
@@ -323,15 +323,15 @@ def _whole_violations(found: Violations, part: DistributedProblem, gather: Gathe
         for each in fields(found)
         if each.name not in ("intrinsic_size", "nothing")
     }
-    none, tangent = found.nothing, found.nothing.tangent
+    negligible, tangent = found.nothing, found.nothing.tangent
     if part.slip_origin is not None:
         tangent = gather(tangent.reshape(part.slip_origin.shape), part.contact_number).ravel()
-    nothing = Nothing(
-        force=gather(none.force, part.dof_number),
-        normal=gather(none.normal, part.contact_number),
+    nothing = NegligibleSizes(
+        force=gather(negligible.force, part.dof_number),
+        normal=gather(negligible.normal, part.contact_number),
         tangent=tangent,
-        tie=gather(none.tie, part.tie_number),
-        contact_force=None if none.contact_force is None else gather(none.contact_force, part.dof_number),
+        tie=gather(negligible.tie, part.tie_number),
+        contact_force=None if negligible.contact_force is None else gather(negligible.contact_force, part.dof_number),
     )
     return Violations(**whole, intrinsic_size=found.intrinsic_size, nothing=nothing)
 
@@ -356,7 +356,7 @@ def collected(solution: DistributedSolution) -> CollectedSolution:
 
     def gather(values: NDArray[Any], numbers: Index) -> NDArray[Any]:
         free = np.flatnonzero(numbers >= 0)
-        every, order = part.ranks.exchanged(np.zeros(len(free), dtype=np.intp), values[free], numbers[free])
+        every, order = part.ranks.exchange(np.zeros(len(free), dtype=np.intp), values[free], numbers[free])
         return np.asarray(every[np.argsort(order)])
 
     friction = answer.friction_force

@@ -19,8 +19,8 @@ from contactqp.certificate.coulomb_law import (
     law_residual,
     normal_forces,
     rounded_slips,
-    slips_that_are_nothing,
     tangential_force,
+    with_negligible_slips,
 )
 from contactqp.certificate.figures import Sizes, figures
 from contactqp.distributed.problem import Bodies, DistributedProblem, without_rigid_part
@@ -42,7 +42,7 @@ from contactqp.linalg.measures import (
     sizes_of,
 )
 from contactqp.model.arrays import Mask, Vector
-from contactqp.model.solution import Answer, Nothing, Violations
+from contactqp.model.solution import Answer, NegligibleSizes, Violations
 
 
 def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, rounding: float) -> Violations:
@@ -62,14 +62,14 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
     F = problem.product_sizes(abs(elastic)) + outer_forces(problem, answer)
     size = intrinsic_size(problem, answer, elastic)
     hardly = _hardly_felt(problem)
-    none = slips_that_are_nothing(_nothing(problem, u, elastic, size, rounding), hardly)
+    negligible = with_negligible_slips(_nothing(problem, u, elastic, size, rounding), hardly)
     residuals = (
         outer_resultant(problem, answer) - problem.product(u),
         problem.gap - normal.lengths(u),
         problem.tie_value - tie.lengths(u),
     )
     near, of_entries = normal.at_touched(F), sizes_of(normal.entries)
-    least = normal.at_touched(none.force if none.contact_force is None else none.contact_force)
+    least = normal.at_touched(negligible.force if negligible.contact_force is None else negligible.contact_force)
     sizes = Sizes(
         meeting=F,
         push=of_entries.measure(answer.normal_force, near),
@@ -79,7 +79,7 @@ def violations(problem: DistributedProblem, answer: Answer, bodies: Bodies, roun
         intrinsic_size=size,
     )
     felt = of_entries.measure(answer.normal_force, near, least)
-    return figures(answer, residuals, sizes, none, felt, _friction_data(problem, u, F, none.force, hardly))
+    return figures(answer, residuals, sizes, negligible, felt, _friction_data(problem, u, F, negligible.force, hardly))
 
 
 def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector) -> float:
@@ -103,9 +103,9 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
     return float(max(ranks.max(max(sizes)), np.sqrt(max(strain, 0.0))))
 
 
-def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> Nothing:
+def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> NegligibleSizes:
     """Return the forces and lengths that are negligible compared to the intrinsic size, as
-    `contactqp.linalg.measures.nothing` does. Collective.
+    `contactqp.linalg.measures.negligible_sizes` does. Collective.
     """
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
     if problem.ranks.any(elastic is not u):
@@ -118,14 +118,14 @@ def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: floa
     def least(rows: Rows, longest: float) -> Vector:
         compliance = row_sizes(problem, rows).compliance
         rest = min(max(OF_ALL_LENGTHS * longest, least_size), OF_NEAR_LENGTHS * longest)
-        none = part * min(size, rest) * np.sqrt(compliance)
-        return np.asarray(np.maximum(none, HELD_BY_DOUBLES * rows.length_sizes(u)))
+        negligible = part * min(size, rest) * np.sqrt(compliance)
+        return np.asarray(np.maximum(negligible, HELD_BY_DOUBLES * rows.length_sizes(u)))
 
     longest, tangent = _longest_length(problem, u, along=False), np.zeros(0)
     if problem.tangent is not None:
         tangent = least(problem.tangent, _longest_length(problem, u, along=True))
     of_contacts = _least_contact_force(problem, u, strain, size, part, force)
-    return Nothing(force, least(problem.normal, longest), tangent, least(problem.tie, longest), of_contacts)
+    return NegligibleSizes(force, least(problem.normal, longest), tangent, least(problem.tie, longest), of_contacts)
 
 
 def untouched(problem: DistributedProblem) -> Mask:
@@ -140,9 +140,9 @@ def untouched(problem: DistributedProblem) -> Mask:
 
 
 def _least_contact_force(
-    problem: DistributedProblem, u: Vector, strain: float, size: float, part: float, none: Vector
+    problem: DistributedProblem, u: Vector, strain: float, size: float, part: float, negligible: Vector
 ) -> Vector | None:
-    """Return the forces (n_here,) up to which contact forces count as zero, or None if these equal `none`, those of
+    """Return the forces (n_here,) up to which contact forces count as zero, or None if these are `negligible`, those of
     residuals; as in `contactqp.linalg.measures`. `strain` is |u_e|_K. Collective.
     """
     pushed = problem.ranks.max(float(np.max(reciprocal(np.sqrt(problem.diagonal)) * abs(problem.load), initial=0.0)))
@@ -151,7 +151,7 @@ def _least_contact_force(
     loaded = np.where(
         problem.diagonal > 0, OF_ALL_LENGTHS * part * max(pushed, strain) * np.sqrt(problem.diagonal), np.inf
     )
-    return np.asarray(np.minimum(none, np.maximum(loaded, HELD_BY_DOUBLES * problem.product_sizes(abs(u)))))
+    return np.asarray(np.minimum(negligible, np.maximum(loaded, HELD_BY_DOUBLES * problem.product_sizes(abs(u)))))
 
 
 def _longest_length(problem: DistributedProblem, displacement: Vector, along: bool) -> float:
@@ -223,7 +223,7 @@ def _tangential_lengths(problem: DistributedProblem, displacement: Vector) -> Ve
 
 
 def _friction_data(
-    problem: DistributedProblem, displacement: Vector, F: Vector, none: Vector, hardly: Mask
+    problem: DistributedProblem, displacement: Vector, F: Vector, negligible: Vector, hardly: Mask
 ) -> CoulombData | None:
     """Return the slips of this rank's contacts and their measures, None without tangential rows. Collective.
 
@@ -235,7 +235,7 @@ def _friction_data(
     near = tangent.at_touched(displacement)
     slip = np.asarray(tangent.entries @ near).reshape(origin.shape) - origin
     across, along = (
-        ForcesMet(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(none))
+        ForcesMet(entries_of(rows.entries, problem.contacts), rows.at_touched(F), rows.at_touched(negligible))
         for rows in (tangent, problem.normal)
     )
     rounding = rounded_slips(tangent.sizes @ abs(near), origin)

@@ -45,7 +45,7 @@ from contactqp.linalg.factorization import (
     unknowns_far_apart,
 )
 from contactqp.linalg.floating import NullSpace, as_stated, unresisted
-from contactqp.linalg.pardiso import CHOICE, NotPositive, TooLarge, available
+from contactqp.linalg.pardiso import SOLVER_VARIABLE, NotPositive, TooLarge, available
 from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
 from contactqp.model.arrays import CONDENSE, EPS, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
 from contactqp.model.problem import ContactProblem
@@ -434,9 +434,9 @@ def eliminate(stiffness: Any, retained: Indices, singular: bool = True) -> Elimi
 
 
 def _eliminate(stiffness: Any, retained: Indices, singular: bool) -> Elimination:
-    chosen = os.environ.get(CHOICE, "")
+    chosen = os.environ.get(SOLVER_VARIABLE, "")
     if chosen and chosen not in CHOICES:
-        raise InvalidProblem(f"{CHOICE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
+        raise InvalidProblem(f"{SOLVER_VARIABLE}: expected one of {', '.join(CHOICES)}, got {shown(chosen)}")
     count = stiffness.shape[0] - len(retained)
     wanted = count >= LARGE and available() if chosen in ("", "pyamg") else chosen == "pardiso" and count > 0
     if wanted and np.all(np.delete(stiffness.diagonal(), retained) > 0):

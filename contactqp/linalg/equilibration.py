@@ -15,7 +15,7 @@ from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import EPS, Array, Index, Indices, Mask, Vector
 from contactqp.model.computed import Computed
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Candidate, Nothing
+from contactqp.model.solution import Answer, Candidate, NegligibleSizes
 
 # Rounds of equilibration, after which row and column maxima differ by little more than powers of two.
 ROUNDS = 12
@@ -270,7 +270,9 @@ def mostly_bare(problem: ContactProblem) -> bool:
     return int(np.sum(bare & acting)) > MOST_BARE
 
 
-def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float) -> Nothing:
+def negligible_in_rows(
+    problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float
+) -> NegligibleSizes:
     """Return what counts as zero where K gives no scale, a fraction of the largest equilibrated force and length.
 
     Forces are those of the `connected` unknowns (n,) by part, at least `beside` of the largest; with friction only
@@ -303,7 +305,7 @@ def nothing_in_rows(problem: ContactProblem, answer: Answer, part: float, connec
     acting = np.where(acting > 0, np.maximum(acting, beside * largest), largest)[connected]
     force = part * acting if largest > stiffest * length else np.full(len(acting), stiffest * length)
     tangent = length * (along @ scaling.unknowns)
-    return Nothing(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
+    return NegligibleSizes(force / scaling.unknowns, length * scaling.contacts, tangent, length * scaling.ties)
 
 
 def balancing_factors(sizes: Array, group: Indices) -> tuple[Vector, Vector]:

@@ -25,7 +25,7 @@ from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows, OneProcess
 from contactqp.linalg.measures import sizes_of
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.linalg.runtime import free_memory
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
@@ -85,7 +85,7 @@ def iterated(problem: ContactProblem) -> bool:
     refuses what does not fit into memory; SuperLU, which cannot predict it, is used for floating bodies up to a size.
     CONTACTQP_SPARSE_SOLVER=pyamg forces the iteration, another solver prevents it.
     """
-    chosen = os.environ.get(CHOICE, "")
+    chosen = os.environ.get(SOLVER_VARIABLE, "")
     if chosen:
         return chosen == "pyamg"
     if not (_is_large(problem) and available()):
@@ -261,7 +261,7 @@ def may_be_factorised(problem: ContactProblem) -> bool:
     """Return whether an iterated body may be factorised, by a solver that checks memory and unless the user chose
     another.
     """
-    return (pardiso.available() or not factors_are_dear(problem)) and not os.environ.get(CHOICE, "")
+    return (pardiso.available() or not factors_are_dear(problem)) and not os.environ.get(SOLVER_VARIABLE, "")
 
 
 @contextmanager

@@ -37,12 +37,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.equilibration import mostly_bare, nothing_in_rows
+from contactqp.linalg.equilibration import mostly_bare, negligible_in_rows
 from contactqp.linalg.extended import extended_rows
 from contactqp.linalg.factorization import RIGID_FORCE, connected_parts, joined_parts
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Nothing
+from contactqp.model.solution import Answer, NegligibleSizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +72,11 @@ class RowSizes:
         """Return |E|'|l| (n,) of sizes |l| (r,) [force]."""
         return self._sums(self.entries, size, of_rows=False)
 
-    def measure(self, force: Vector, meeting: Vector, none: Vector | None = None) -> Vector:
-        """Return max_j |E_ij l_i| / F_j (r,) of forces l (r,), F (n,) those that meet; l up to `none` (n,) give 0."""
+    def measure(self, force: Vector, meeting: Vector, least: Vector | None = None) -> Vector:
+        """Return max_j |E_ij l_i| / F_j (r,) of forces l (r,), F (n,) those that meet; l up to `least` (n,) give 0."""
         acting, at = self.entries * abs(force)[self.row], self.rows.indices
         measure = np.zeros(self.rows.shape[0])
-        np.maximum.at(measure, self.row, ratio(acting if none is None else beyond(acting, none[at]), meeting[at]))
+        np.maximum.at(measure, self.row, ratio(acting if least is None else beyond(acting, least[at]), meeting[at]))
         return measure
 
     def _sums(self, entries: Vector, values: Vector, of_rows: bool) -> Vector:
@@ -176,7 +176,9 @@ def _driven(problem: ContactProblem, part: Indices) -> Mask:
     return driven
 
 
-def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> Nothing:
+def negligible_sizes(
+    problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float
+) -> NegligibleSizes:
     """Return the forces and lengths that count as zero, a fraction of the intrinsic sizes or rounding.
 
     Parameters
@@ -186,7 +188,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
     size, part : (n,) array and float, the intrinsic sizes and the fraction of them
     """
     if not problem.diagonal.all() and (mostly_bare(problem) or not problem.diagonal.any()):
-        return nothing_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
+        return negligible_in_rows(problem, answer, part, parts(problem), BESIDE_OTHERS)
     u, D = abs(answer.displacement), scale_through_rows(problem)
     force = np.divide(part * size, D, out=np.zeros(len(D)), where=D > 0)
     held = HELD_BY_DOUBLES * inner_forces(problem, answer.displacement)
@@ -205,7 +207,7 @@ def nothing(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector,
         tangent = lengths(problem.tangent, _beside_lengths(problem, u, least, size, along=True))
     of_contacts = None if of_contacts is None else np.minimum(force, of_contacts)
     tie = lengths(problem.tie, across) if problem.ties else np.zeros(0)
-    return Nothing(force, lengths(problem.normal, across), tangent, tie, of_contacts)
+    return NegligibleSizes(force, lengths(problem.normal, across), tangent, tie, of_contacts)
 
 
 def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, along: bool) -> Vector:
@@ -495,6 +497,6 @@ def reciprocal(size: Array) -> Array:
     return np.divide(1.0, size, out=np.zeros(size.shape), where=size > 0)
 
 
-def beyond(size: Vector, none: Vector) -> Vector:
-    """Return sizes with 0 where they are at most `none`; NaN is kept, and an infinite `none` has no effect."""
-    return np.asarray(np.where((size <= none) & np.isfinite(none), 0.0, size))
+def beyond(size: Vector, negligible: Vector) -> Vector:
+    """Return sizes with 0 where they are at most `negligible`; NaN is kept, and an infinite limit has no effect."""
+    return np.asarray(np.where((size <= negligible) & np.isfinite(negligible), 0.0, size))

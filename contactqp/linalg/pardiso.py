@@ -74,12 +74,12 @@ class TooLarge(BackendFailed):
 
 # The environment variable that chooses the sparse solver, by default the fastest. "pyamg" selects the iteration, unless
 # a caller needs factors.
-CHOICE = "CONTACTQP_SPARSE_SOLVER"
+SOLVER_VARIABLE = "CONTACTQP_SPARSE_SOLVER"
 
 
 def available() -> bool:
-    """Return whether PARDISO is installed and not switched off by `CHOICE`, without loading it."""
-    return os.environ.get(CHOICE, "") != "superlu" and importlib.util.find_spec("pypardiso") is not None
+    """Return whether PARDISO is installed and not switched off by `SOLVER_VARIABLE`, without loading it."""
+    return os.environ.get(SOLVER_VARIABLE, "") != "superlu" and importlib.util.find_spec("pypardiso") is not None
 
 
 @cache
@@ -478,8 +478,8 @@ def _refuse_status(status: int) -> None:
 def products(matrix: Any) -> Callable[[Array], Array]:
     """Return the product A x of a square matrix (n, n), by rows or in blocks, with vectors (n,).
 
-    A large matrix is multiplied on the threads of MKL where pypardiso is installed and not switched off by `CHOICE`,
-    the others by SciPy. The matrix must not change afterwards.
+    A large matrix is multiplied on the threads of MKL where pypardiso is installed and not switched off by
+    `SOLVER_VARIABLE`, the others by SciPy. The matrix must not change afterwards.
     """
     if matrix.format not in ("csr", "bsr") or not MANY_ENTRIES <= matrix.data.size <= np.iinfo(np.int32).max:
         return matrix.__matmul__  # type: ignore[no-any-return]

@@ -33,7 +33,7 @@ FIGURES = ("equilibrium", "balance", "penetration", "tension", "complementarity"
 
 
 @dataclass(frozen=True, eq=False)
-class Nothing(ReadOnly):
+class NegligibleSizes(ReadOnly):
     """The forces and lengths below which an answer counts as zero at an unknown or in a row."""
 
     force: Vector  # (n,) at unknowns [force]
@@ -106,7 +106,7 @@ class Violations(ReadOnly):
     force_measure: Vector  # (m,) |l_N| as a force
     meeting: Vector  # (n,) F [force]
     intrinsic_size: float  # S of problem and answer [square root of energy]
-    nothing: Nothing  # forces and lengths that count as zero
+    nothing: NegligibleSizes  # forces and lengths that count as zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import Systems, frictional_iteration, iterated
 from contactqp.linalg.measures import forces_that_meet, lengths, row_sizes
 from contactqp.model.arrays import Array, all_finite, on_one_thread
-from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
@@ -141,10 +141,10 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
 
     A slip in the direction of its friction is a rounding error and counts as stick.
     """
-    assert problem.tangent is not None
+    slip = slips(problem, answer.displacement)
+    assert slip is not None
     assert problem.slip_origin is not None
     assert answer.friction_force is not None
-    slip = (problem.tangent @ answer.displacement).reshape(problem.slip_origin.shape) - problem.slip_origin
     moved = row_sizes(problem, problem.tangent).lengths(abs(answer.displacement))
     rounding = rounded_slips(moved, problem.slip_origin)
     sliding = np.where(slip[:, 0] < 0, SLIP_BACK, SLIP_ON) if slip.shape[1] == 1 else np.full(len(slip), SLIP_ON)

@@ -40,7 +40,7 @@ from contactqp.linalg.iteration import (
     may_be_factorised,
     systems_of,
 )
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.linalg.runtime import SERIAL, engine_named, refuse_unknown_engine
 from contactqp.model.arrays import (
     METHOD,
@@ -229,7 +229,7 @@ def _solve(
         return elsewhere(problem, method, warm_start=warm_start, **same)
     if not problem.is_near_one and (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    small = problem.is_small and not os.environ.get(CHOICE)  # nothing costs less than condensing it
+    small = problem.is_small and not os.environ.get(SOLVER_VARIABLE)  # nothing costs less than condensing it
     systems = Systems.CONDENSED if small else systems_of(problem)
     if systems is Systems.ITERATED and may_be_factorised(problem):
         needs_factors = find(method).kind != ACTIVE_SET or condense is True or algorithm not in (None, "tresca")

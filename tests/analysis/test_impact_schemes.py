@@ -10,7 +10,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.analysis.motion.schemes import SCHEMES, register
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State
+from contactqp.analysis.motion.schemes.scheme import Scheme, SchemeData, SchemeEntry, State
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.model.arrays import Vector
 from tests.analysis.motions import GAP, SPEED, rod_at_wall, thrown_rod
@@ -24,7 +24,7 @@ class StewartTrinkle(Scheme):
     name = "stewart-trinkle"
     keeps_energy = False
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: SchemeData) -> None:
         self.body = body
         self.inertia = 1 / body.step**2
         self.templates = (body.template(body.mass + body.step**2 * body.stiffness),)

@@ -105,7 +105,7 @@ STEPS = 100
 def made(request, monkeypatch):
     """The sizes of the sparse matrices that were factorised, in order."""
     sizes = []
-    monkeypatch.setenv(pardiso.CHOICE, request.param)
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, request.param)
     if request.param == "pardiso":
         pytest.importorskip("pypardiso")
         factorise = pardiso.Pardiso.__init__

@@ -17,7 +17,7 @@ def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):
     problem = hard_bodies.VARIANTS[variant](1600)
     found = {}
     for solver in schur.SOLVERS:
-        monkeypatch.setenv(pardiso.CHOICE, solver)
+        monkeypatch.setenv(pardiso.SOLVER_VARIABLE, solver)
         twin = problem.replace(stiffness=problem.stiffness)
         solution = found[solver] = cq.solve(twin)
         assert condense(twin).solver == solver

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 import contactqp as cq
 from benchmarks.judging import exact_truth
-from contactqp.certificate.bounds import REDUNDANT, Bounds, failed_energy, failed_errors
+from contactqp.certificate.bounds import REDUNDANT, Bounds, energy_failures, error_failures
 from contactqp.certificate.energy_bounds import (
     CAUTION,
     NOT_APART,
@@ -210,7 +210,7 @@ def test_the_displacement_of_a_slender_beam_is_judged_where_its_energy_is(part: 
     known = energy_bounds(problem, Answer(u, solution.normal_force, None, np.zeros(0)))
     assert known.by_energy
     assert known.apart == pytest.approx(part, rel=1e-2, abs=1e-8)
-    assert any(failed_errors(known, 1e-6, 0.0)) is (part > 1e-6)
+    assert any(error_failures(known, 1e-6, 0.0)) is (part > 1e-6)
 
 
 @pytest.mark.sampled(4)
@@ -496,12 +496,12 @@ def test_differences_of_thousands_of_unknowns_have_forces_of_their_own() -> None
 def test_an_energy_that_is_more_than_nothing_is_judged_by_itself() -> None:
     """Forces on soft unknowns made 12 nothing beside an energy of 2698, and an answer above it by that passed."""
     wide = Bounds(energy_bounds=(2698.0, 2710.0), energy_size=2698.0, by_energy=True)
-    assert list(failed_energy(wide, 1e-9, 12.5))
-    assert not list(failed_energy(replace(wide, energy_bounds=(2698.0, 2698.0 + 1e-6)), 1e-9, 12.5))
-    assert not list(failed_energy(replace(wide, energy_bounds=(0.0, 1e-3), energy_size=1e-4), 1e-9, 12.5))
+    assert list(energy_failures(wide, 1e-9, 12.5))
+    assert not list(energy_failures(replace(wide, energy_bounds=(2698.0, 2698.0 + 1e-6)), 1e-9, 12.5))
+    assert not list(energy_failures(replace(wide, energy_bounds=(0.0, 1e-3), energy_size=1e-4), 1e-9, 12.5))
 
 
 def test_wide_bounds_beside_a_conflict_refuse() -> None:
     """Rows that conflict by rounding leave bounds of the energy beside, which tell a wrong answer all the same."""
     wide = Bounds(energy_bounds=(2586.0, 2897.0), energy_size=2742.0, by_energy=True)
-    assert list(failed_energy(_of_conflict(wide, "4.5e-19 of the largest length", near=True), 1e-9, 0.0))
+    assert list(energy_failures(_of_conflict(wide, "4.5e-19 of the largest length", near=True), 1e-9, 0.0))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.bounds import fails_force_bound
+from contactqp.certificate.bounds import force_bound_fails
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.state_bodies import SparseBodies
 from contactqp.model.solution import Answer
@@ -277,7 +277,7 @@ def test_large_forces_of_ties_elsewhere_hide_no_contact_force() -> None:
     for part, fails in ((0.0, False), (1e-5, True)):
         force = solution.normal_force * (1 + part)
         known = energy_bounds(problem, Answer(solution.displacement, force, None, solution.tie_force))
-        assert fails_force_bound(known, 1e-6, 0.0) is fails
+        assert force_bound_fails(known, 1e-6, 0.0) is fails
 
 
 def test_a_force_next_to_a_support_counts_beside_the_largest_one() -> None:

@@ -13,7 +13,7 @@ from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.iteration import Iteration, iteration
 from contactqp.linalg.krylov import ConjugateGradients, OneProcess
 from contactqp.linalg.multigrid import available
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model.solution import FIGURES
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
@@ -25,7 +25,7 @@ class Truth:
 
     def __init__(self, problem):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv(CHOICE, "superlu")
+            patch.setenv(SOLVER_VARIABLE, "superlu")
             self.solution = cq.solve(fresh(problem))
         self.problem = problem
         n, k = problem.dimension, problem.ties
@@ -64,7 +64,7 @@ def truth(request, monkeypatch):
     name = request.param
     if name not in TRUTH:
         TRUTH[name] = Truth(PROBLEMS[name]())
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     return TRUTH[name]
 
 
@@ -178,7 +178,7 @@ def test_a_closed_contact_that_is_missing_is_refused_though_forces_balance(truth
 
 @pytest.mark.slow
 def test_friction_has_figures_and_no_bounds(monkeypatch):
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     problem = on_paraboloid((8, 8, 6))
     touched = problem.normal.tocoo()
     n = problem.dimension

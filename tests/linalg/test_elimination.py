@@ -65,13 +65,13 @@ def test_pardiso_refuses_what_is_not_positive_definite_and_elimination_then_goes
     indefinite = sp.csr_matrix(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 1.0], [0.0, 1.0, 4.0]]))
     with pytest.raises(NotPositive):
         Pardiso(indefinite, np.array([2]))
-    monkeypatch.setenv(pardiso.CHOICE, "pardiso")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "pardiso")
     floating = sp.csr_matrix(np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 4.0]]))
     assert eliminate(floating, np.array([2])).smallest_pivot <= 1e-15
 
 
 def test_a_solver_that_does_not_exist_is_refused(monkeypatch):
-    monkeypatch.setenv(pardiso.CHOICE, "parsido")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "parsido")
     with pytest.raises(InvalidProblem, match=r"expected one of superlu, pardiso, pyamg, got .parsido."):
         cq.solve(pressed_block(3))
 
@@ -83,7 +83,7 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
     """Held, and free to slide sideways: then the interior is held by the unknowns that are retained for it."""
     solutions = {}
     for solver in schur.SOLVERS:
-        monkeypatch.setenv(pardiso.CHOICE, solver)
+        monkeypatch.setenv(pardiso.SOLVER_VARIABLE, solver)
         problem = pressed_block(12, free=free)
         solutions[solver] = cq.solve(problem)
         assert condense(problem).solver == solver
@@ -98,7 +98,7 @@ def test_the_sparse_solver_makes_no_difference_to_the_answer(monkeypatch, free):
 @pytest.mark.parametrize(("step", "way"), [(2, BackSubstitution), (4, BackSubstitution), (9, TrailingBlock)])
 def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, way):
     """Among many that are retained, and in small bodies, back-substitutions are cheaper."""
-    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "superlu")
     K = pressed_block(12).stiffness_rows
     assert K.shape[0] > 300
     assert isinstance(eliminate(K, np.arange(0, K.shape[0], step)), way)
@@ -108,7 +108,7 @@ def test_superlu_eliminates_in_one_go_where_few_are_retained(monkeypatch, step, 
 
 def test_superlu_needs_few_back_substitutions(monkeypatch):
     """Not one for every retained unknown: a reduced load and an expanded displacement take one each."""
-    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "superlu")
     problem = pressed_block(20)
     solution = cq.solve(problem)
     assert isinstance(eliminate(problem.stiffness_rows, condense(problem).retained), TrailingBlock)
@@ -122,7 +122,7 @@ def test_superlu_needs_few_back_substitutions(monkeypatch):
 
 @needs_pardiso
 def test_large_bodies_take_pardiso_and_few_back_substitutions(monkeypatch):
-    monkeypatch.delenv(pardiso.CHOICE, raising=False)
+    monkeypatch.delenv(pardiso.SOLVER_VARIABLE, raising=False)
     problem = pressed_block(40)
     solution = cq.solve(problem)
     assert condense(problem).solver == "pardiso"
@@ -250,7 +250,7 @@ QUARTER = (Support("block", "left", 0), Support("block", "front", 1))
 )
 def test_a_body_whose_motions_nobody_states_is_factorised_once_too(monkeypatch, solver, problem, motions):
     """Nodes that hold it are retained from the start: no factorisation shows only that the interior floats."""
-    monkeypatch.setenv(pardiso.CHOICE, solver)
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, solver)
     tried = []
     monkeypatch.setattr(condensation, "eliminate", lambda *a: tried.append(1) or eliminate(*a))
     twin = problem.replace(stiffness=problem.stiffness)
@@ -289,7 +289,7 @@ def test_a_soft_spring_holds_a_body_whose_motions_nobody_states():
 @pytest.mark.parametrize("bare", [False, True])
 def test_a_floating_body_takes_few_back_substitutions(monkeypatch, bare):
     """Six motions that are looked for take one each; what rounding of K makes of motions, which bounds contain, two."""
-    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "superlu")
     problem = floating_in_space(**({"near_null_space": None} if bare else {}))
     solution = cq.solve(problem)
     assert solution.certificate.proven

@@ -13,7 +13,7 @@ from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import multigrid
 from contactqp.linalg.iteration import iterated
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from tests.blocks_in_space import fresh
 
 pytestmark = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
@@ -74,7 +74,7 @@ PROBLEMS = {
 
 
 def _by(solver, problem, monkeypatch):
-    monkeypatch.setenv(CHOICE, solver)
+    monkeypatch.setenv(SOLVER_VARIABLE, solver)
     return cq.solve(fresh(problem))
 
 
@@ -143,7 +143,7 @@ def test_with_friction_too(problem, monkeypatch):
 
 @pytest.fixture
 def large(monkeypatch):
-    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.delenv(SOLVER_VARIABLE, raising=False)
     monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 0.0)
 
 
@@ -167,7 +167,7 @@ def test_a_large_body_is_iterated_on_where_its_motions_are_stated(monkeypatch, b
 
 
 def test_a_body_whose_motions_nobody_states_is_refused_in_words(monkeypatch):
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     problem = fresh(free_block((6, 6, 4))).replace(near_null_space=None)
     words = r"block node 0 x floats.*near_null_space states 0 of 3 as rigid.*CONTACTQP_SPARSE_SOLVER=pardiso"
     with pytest.raises(cq.Unsupported, match=words):

@@ -12,7 +12,7 @@ from contactqp.certificate.multigrid_bounds import ENOUGH_STEPS
 from contactqp.linalg import multigrid
 from contactqp.linalg.factorization import widest_level
 from contactqp.linalg.iteration import iterated, iteration
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.solving.methods import Settings, inexact_active_set
 from tests.blocks_in_space import fresh, layered, on_paraboloid, on_sphere, stacked, with_ties
 
@@ -21,12 +21,12 @@ needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg"
 
 @pytest.fixture
 def by_iteration(monkeypatch):
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
 
 
 def factorised(problem):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CHOICE, "superlu")
+        patch.setenv(SOLVER_VARIABLE, "superlu")
         return cq.solve(fresh(problem))
 
 
@@ -204,14 +204,14 @@ def test_a_pyamg_that_cannot_be_imported_is_named(monkeypatch):
 
 def test_what_is_iterated_on_is_large_and_in_space_unless_somebody_chooses(monkeypatch):
     problem = on_paraboloid()
-    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.delenv(SOLVER_VARIABLE, raising=False)
     assert not iterated(problem)
     monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 0.0)
     assert iterated(problem) == multigrid.available()
     monkeypatch.setattr("contactqp.linalg.iteration.COUPLED", 100)
     assert not iterated(problem)
     for choice in ("superlu", "pardiso", "pyamg"):
-        monkeypatch.setenv(CHOICE, choice)
+        monkeypatch.setenv(SOLVER_VARIABLE, choice)
         assert iterated(problem) == (choice == "pyamg")
 
 
@@ -220,7 +220,7 @@ def test_the_way_follows_the_predicted_cost_of_factors_and_not_the_number_of_unk
     """A bar is eliminated from one end to the other, for a part of what a cube of as many unknowns takes."""
     bar, cube = on_paraboloid((80, 3, 3), size=(80.0, 3.0, 3.0)), on_paraboloid((10, 10, 8))
     assert bar.dimension > cube.dimension
-    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.delenv(SOLVER_VARIABLE, raising=False)
     monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 2e8)
     assert not iterated(bar)
     assert iterated(cube)
@@ -230,7 +230,7 @@ def test_the_way_follows_the_predicted_cost_of_factors_and_not_the_number_of_unk
 
 @needs_pyamg
 def test_factors_that_do_not_fit_into_the_free_memory_are_not_made(monkeypatch):
-    monkeypatch.delenv(CHOICE, raising=False)
+    monkeypatch.delenv(SOLVER_VARIABLE, raising=False)
     monkeypatch.setattr("contactqp.linalg.iteration.LITTLE_MEMORY", 0.0)
     free = 50_000_000
     monkeypatch.setattr("contactqp.linalg.iteration.free_memory", lambda: free)
@@ -265,7 +265,7 @@ def test_a_soft_layer_that_hides_the_contacts_is_no_silent_error(monkeypatch):
         certificate = cq.certify(twin, found.displacement, found.normal_force)
         assert not certificate.passed
         assert certificate.energy_error == pytest.approx(found.certificate.energy_error, rel=1e-4)
-    monkeypatch.setenv(CHOICE, "superlu")
+    monkeypatch.setenv(SOLVER_VARIABLE, "superlu")
     assert np.all(cq.solve(fresh(problem)).normal_force > 0)
 
 
@@ -297,7 +297,7 @@ def test_a_loose_tolerance_is_no_loose_certificate():
 
 
 def test_the_work_names_the_solver(monkeypatch):
-    monkeypatch.setenv(CHOICE, "superlu")
+    monkeypatch.setenv(SOLVER_VARIABLE, "superlu")
     assert cq.solve(on_paraboloid((6, 6, 4))).work.solver == "superlu"
     tiny = cq.ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.1])
     assert cq.solve(tiny).work.solver == "dense"

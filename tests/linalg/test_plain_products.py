@@ -67,7 +67,7 @@ def test_products_by_threads_are_those_of_one(block: int | None, monkeypatch: py
         assert np.max(abs(threaded(column) - matrix @ column) / sizes) <= 8 * np.finfo(float).eps
     assert np.array_equal(threaded(x[:, 0]), threaded(x[:, 0]))
     assert products(matrix.tocsc()) != threaded
-    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "superlu")
     assert products(matrix) == matrix.__matmul__
 
 

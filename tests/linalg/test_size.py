@@ -29,7 +29,7 @@ ON_FACTORS: dict[str, dict[str, Any]] = {
 @pytest.fixture
 def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bodies from a hundred unknowns on are iterated on."""
-    monkeypatch.delenv(pardiso.CHOICE, raising=False)
+    monkeypatch.delenv(pardiso.SOLVER_VARIABLE, raising=False)
     monkeypatch.setattr(iteration, "MOST_OPERATIONS", 1e4)
     monkeypatch.setattr(iteration, "COUPLED", 0)
 

@@ -9,7 +9,7 @@ import contactqp as cq
 from contactqp.cli import main, output
 from contactqp.cli.solving import whereabouts
 from contactqp.linalg import multigrid
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model import arrays
 from contactqp.scene.shipped import case_path
 from tests.blocks_in_space import fresh, on_paraboloid
@@ -39,7 +39,7 @@ def test_friction_says_which_step_it_is_at() -> None:
 
 @pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
 def test_an_iteration_says_what_is_closed_and_sticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     told: list[str] = []
     solution = cq.solve(fresh(on_paraboloid((6, 6, 4), friction=0.3)), progress=told.append)
     closed, stick = np.sum(solution.normal_force > 0), np.sum(solution.contact_status == "stick")

@@ -304,7 +304,7 @@ def test_what_is_free_to_move_is_at_rest_and_listed() -> None:
 
 
 def test_pardiso_is_switched_off_in_sparse_saddle_points_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(pardiso.CHOICE, "superlu")
+    monkeypatch.setenv(pardiso.SOLVER_VARIABLE, "superlu")
     monkeypatch.setattr(pardiso, "Pardiso", lambda *_: pytest.fail("PARDISO was called"))
     problem = membrane(50, 0.03)
     assert problem.dimension > schur.LARGE

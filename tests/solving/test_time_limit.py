@@ -18,7 +18,7 @@ from contactqp.certificate.state_answer import OUT_OF_TIME
 from contactqp.errors import BackendFailed
 from contactqp.linalg import condensation, dense, multigrid, nonnegative, pardiso, schur
 from contactqp.linalg.factorization import factorise
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model import arrays
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.alart_curnier import newton
@@ -189,7 +189,7 @@ def test_friction_that_is_cut_short_is_not_compared_with_its_states(
     clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The answer so far comes at once; it does not pass whatever its figures are."""
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     problem = fresh(on_paraboloid((6, 6, 4), friction=0.3))
     assert cq.solve(problem).certificate.passed
     with pytest.raises(cq.NotConverged, match="time limit") as caught:

@@ -186,9 +186,9 @@ class ContactForm:
         self._operator = operator = contact_operator(problem, condensation, rows)
         load, self._inner = condensation.reduce_load(problem.load)
         self._scaled_load = load * rows.scale
-        self._a_correction = OVERHEAD + float(len(rows.S) + len(rows.all_rows)) ** 3
+        self._cost_of_correction = OVERHEAD + float(len(rows.S) + len(rows.all_rows)) ** 3
         entries = float(problem.stiffness_rows.nnz)
-        self._a_correction += PER_ENTRY * entries
+        self._cost_of_correction += PER_ENTRY * entries
         # The remaining budget of operations for combinations near an iterate, at least that of factorising the
         # stiffness.
         self.left = max(NEARBY_OPERATIONS, grid_operations(problem.dimension, entries / problem.dimension))
@@ -202,7 +202,7 @@ class ContactForm:
         """Return `answer_in`, and subtract its cost from the remaining budget."""
         before = self._rows.corrections
         answer = self.answer_in(status, start)
-        self.left -= self._a_correction * (self._rows.corrections - before)
+        self.left -= self._cost_of_correction * (self._rows.corrections - before)
         return answer
 
     def answer_in(self, status: Status, start: Answer) -> Answer:

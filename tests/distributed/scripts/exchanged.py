@@ -31,7 +31,7 @@ def rows_of(rank):
 
 def check(kinds):
     mine = rows_of(ranks.rank)
-    came = ranks.exchanged(mine[:, 2], *(kind(mine) for kind in kinds))
+    came = ranks.exchange(mine[:, 2], *(kind(mine) for kind in kinds))
     every = [rows_of(rank) for rank in range(ranks.size)]
     wanted = np.concatenate([rows[rows[:, 2] == ranks.rank] for rows in every])
     for kind, found in zip(kinds, came, strict=True):
@@ -45,7 +45,7 @@ def check_scatter():
     counts = np.array([0 if rank % 3 == 1 else 4 + rank for rank in range(ranks.size)])
     whole = np.arange(3.0 * counts.sum()).reshape(-1, 3)
     for values in (whole, whole[:, 0], whole[:, :0], np.array([f"{row[0]}" for row in whole])):
-        found = ranks.scattered(counts, values if ranks.rank == 0 else None)
+        found = ranks.scatter(counts, values if ranks.rank == 0 else None)
         begin = int(counts[: ranks.rank].sum())
         assert np.array_equal(found, values[begin : begin + counts[ranks.rank]])
         assert found.dtype == values.dtype
@@ -59,7 +59,7 @@ def check_all():
     check([])
     # Nothing but one rank's rows says what they are.
     full = np.ones((3, 2)) if ranks.rank == 0 else np.zeros((0, 2), dtype=np.int32)
-    (found,) = ranks.exchanged(np.zeros(len(full), dtype=np.intp), full)
+    (found,) = ranks.exchange(np.zeros(len(full), dtype=np.intp), full)
     assert found.sum() == (6 if ranks.rank == 0 else 0)
     check_scatter()
 

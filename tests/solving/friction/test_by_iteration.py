@@ -15,7 +15,7 @@ from contactqp.certificate.state_bodies import IteratedBodies
 from contactqp.linalg import multigrid
 from contactqp.linalg.iterated_states import FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.solving.friction import by_iteration
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere, stacked, with_ties
 
@@ -25,12 +25,12 @@ pytestmark = [needs_pyamg, pytest.mark.usefixtures("iterating")]
 
 @pytest.fixture
 def iterating(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CHOICE, "pyamg")
+    monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
 
 
 def factorised(problem: cq.ContactProblem, **options: Any) -> cq.Solution:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CHOICE, "superlu")
+        patch.setenv(SOLVER_VARIABLE, "superlu")
         return cq.solve(fresh(problem), **options)
 
 
@@ -293,7 +293,7 @@ def stopped(what: str) -> None:
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> cq.ContactProblem:
     """A block that is large enough to be iterated on, by nobody's choice."""
-    monkeypatch.delenv(CHOICE)
+    monkeypatch.delenv(SOLVER_VARIABLE)
     monkeypatch.setattr("contactqp.linalg.iteration.MOST_WITH_FRICTION", 0.0)
     monkeypatch.setattr("contactqp.linalg.iteration.MANY_WITH_FRICTION", 20)
     return fresh(BLOCK)

@@ -21,7 +21,7 @@ from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import multigrid
-from contactqp.linalg.pardiso import CHOICE
+from contactqp.linalg.pardiso import SOLVER_VARIABLE
 
 FRICTION, RADIUS, MODULUS, POISSON = 0.4, 10.0, 21000.0, 0.3
 # Half of the largest size of an element within the contact [mm].
@@ -134,7 +134,7 @@ def test_partial_slip_comes_to_the_formula_as_elements_become_smaller(
     if by == "iteration":
         if not multigrid.available():
             pytest.skip("needs pyamg")
-        monkeypatch.setenv(CHOICE, "pyamg")
+        monkeypatch.setenv(SOLVER_VARIABLE, "pyamg")
     found = partial_slip(0.010, cells)
     solution, radius = found.solution, found.radius
     assert (solution.work.solver == "pyamg") == (by == "iteration")

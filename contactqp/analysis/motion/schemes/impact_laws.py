@@ -29,7 +29,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.schemes.scheme import Block, Body, Scheme, SchemeEntry, SchemeSettings, State, TwoStep
+from contactqp.analysis.motion.schemes.scheme import (
+    Block,
+    Scheme,
+    SchemeData,
+    SchemeEntry,
+    SchemeSettings,
+    State,
+    TwoStep,
+)
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import EPS, Array, Vector
@@ -47,7 +55,7 @@ class MoreauJean(Scheme):
 
     name = "moreau-jean"
 
-    def __init__(self, body: Body, theta: float, restitution: float) -> None:
+    def __init__(self, body: SchemeData, theta: float, restitution: float) -> None:
         self.body, self._theta, self._restitution = body, theta, restitution
         self.templates = (body.template(body.mass + (theta * body.step) ** 2 * body.stiffness),)
         self.keeps_energy = theta == 0.5
@@ -103,7 +111,7 @@ class MoreauJean(Scheme):
 class _Central(TwoStep):
     """Central differences with x = u+, whose forces are those of the start of the step."""
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: SchemeData) -> None:
         self.body = body
         self._inertia = body.mass / body.step**2
 
@@ -117,7 +125,7 @@ class PaoliSchatzman(_Central):
 
     name = "paoli-schatzman"
 
-    def __init__(self, body: Body, restitution: float) -> None:
+    def __init__(self, body: SchemeData, restitution: float) -> None:
         super().__init__(body)
         self._restitution = restitution
         self.templates = (body.template(self._inertia),)
@@ -135,7 +143,7 @@ class ExplicitPenalty(_Central):
 
     name = "penalty"
 
-    def __init__(self, body: Body, penalty: float) -> None:
+    def __init__(self, body: SchemeData, penalty: float) -> None:
         super().__init__(body)
         self._penalty = self.springs = penalty
         self.keeps_energy = False
@@ -172,7 +180,7 @@ class ExplicitPenalty(_Central):
         return np.asarray(self._penalty * np.maximum(overlap, 0.0).T)
 
 
-def _with_penalty(body: Body, settings: SchemeSettings) -> ExplicitPenalty:
+def _with_penalty(body: SchemeData, settings: SchemeSettings) -> ExplicitPenalty:
     if settings.penalty is None:
         raise InvalidProblem("penalty: the scheme 'penalty' has no default stiffness; state penalty=beta")
     return ExplicitPenalty(body, settings.penalty)

@@ -37,7 +37,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.motion.mass_matrix import massless
-from contactqp.analysis.motion.schemes.scheme import Body, Scheme, SchemeEntry, State, TwoStep
+from contactqp.analysis.motion.schemes.scheme import Scheme, SchemeData, SchemeEntry, State, TwoStep
 from contactqp.analysis.motion.step_contact import StepProblem, StepResult
 from contactqp.errors import Unsupported
 from contactqp.linalg.dense import Factorization
@@ -53,7 +53,7 @@ AT_REST = 1e-6
 class Trapezoidal(Scheme):
     """The scheme with x = u+, whose forces are those at the end of the step."""
 
-    def __init__(self, body: Body, name: str) -> None:
+    def __init__(self, body: SchemeData, name: str) -> None:
         self.body, self.name = body, name
         self.inertia = 4 / body.step**2
         self._inertia = self.inertia * body.mass
@@ -109,7 +109,7 @@ class BackwardEuler(Scheme):
     name = "backward-euler"
     keeps_energy = False
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: SchemeData) -> None:
         self.body = body
         self.inertia = 1 / body.step**2
         self._inertia = self.inertia * body.mass
@@ -127,7 +127,7 @@ class ContactStabilised(Scheme):
 
     name = "deuflhard-krause-ertel"
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: SchemeData) -> None:
         self.body = body
         self.inertia = 4 / body.step**2
         self._inertia = self.inertia / 2 * body.mass
@@ -191,7 +191,7 @@ class ModifiedMassCentral(TwoStep):
 
     name = "modified-mass-central"
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: SchemeData) -> None:
         if body.problem.ties:
             raise Unsupported("modified-mass-central: ties; take modified-mass, or remove the tied unknowns")
         self.body = body

@@ -48,7 +48,7 @@ class State(AnswerOf[Vector, Vector], ReadOnly):
 
 
 @dataclass(frozen=True, eq=False)
-class Body(ReadOnly):
+class SchemeData(ReadOnly):
     """The data of every scheme: the problem, its mass matrix, and the time step."""
 
     problem: ContactProblem
@@ -162,7 +162,7 @@ class Scheme(ABC):
     """A time-stepping scheme, linear except for contact, with one stiffness for each problem of its steps."""
 
     name: str
-    body: Body
+    body: SchemeData
     templates: tuple[ContactProblem, ...]  # one for each problem that a step solves, in their order
     inertia: float | None = None  # s if the stiffness of the last template is proportional to s M + K, None if explicit
     springs: float | None = None  # beta if contacts are springs with elastic energy
@@ -257,7 +257,7 @@ class SchemeEntry:
     """A registered scheme, with its properties for `impact`."""
 
     name: str
-    make: Callable[[Body, SchemeSettings], Scheme]
+    make: Callable[[SchemeData, SchemeSettings], Scheme]
     explicit: bool = False  # stable up to a critical step, with mass required at every unknown
     massless_contacts: bool = False  # removes the mass from the unknowns touched by contacts
     friction: bool = True  # whether it supports friction
