@@ -88,13 +88,13 @@ def test_what_was_found_is_certified_however_long_that_takes(
     if unit != 1.0:
         problem = problem.replace(stiffness=problem.stiffness * unit, load=problem.load * unit)
     cq.solve(problem)
-    judged = certificate._judged
+    judged = certificate._judge
 
     def late(*arguments: Any) -> cq.Certificate:
         clock.passes(300.0)
         return judged(*arguments)
 
-    monkeypatch.setattr(certificate, "_judged", late)
+    monkeypatch.setattr(certificate, "_judge", late)
     assert cq.solve(problem, time_limit=200.0).certificate.passed
 
 
