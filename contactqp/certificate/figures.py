@@ -43,7 +43,7 @@ from contactqp.linalg.measures import (
     forces_that_meet,
     inner_forces,
     intrinsic_size,
-    negligible_sizes,
+    negligible_in,
     outer_forces,
     parts,
     ratio,
@@ -101,7 +101,7 @@ def violations(
     rigid : the null space of K; none where no body floats
     """
     elastic, size, sizes, slips = _kept(problem, answer, "sizes", partial(_sizes, problem, answer, rigid), rigid)
-    negligible, F, coulomb = negligible_sizes(problem, answer, elastic, size, rounding), sizes.meeting, None
+    negligible, F, coulomb = negligible_in(problem, answer, elastic, size, rounding), sizes.meeting, None
     least = negligible.force if negligible.contact_force is None else negligible.contact_force
     felt = row_sizes(problem, problem.normal).measure(answer.normal_force, F, least)
     missed = residual.force.double(), residual.gap.double(), residual.tie.double()

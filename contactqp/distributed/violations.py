@@ -105,7 +105,7 @@ def intrinsic_size(problem: DistributedProblem, answer: Answer, elastic: Vector)
 
 def _nothing(problem: DistributedProblem, u: Vector, elastic: Vector, size: float, part: float) -> NegligibleSizes:
     """Return the forces and lengths that are negligible compared to the intrinsic size, as
-    `contactqp.linalg.measures.negligible_sizes` does. Collective.
+    `contactqp.linalg.measures.negligible_in` does. Collective.
     """
     force = np.maximum(part * size * np.sqrt(problem.diagonal), HELD_BY_DOUBLES * problem.product_sizes(abs(u)))
     if problem.ranks.any(elastic is not u):

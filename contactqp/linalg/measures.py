@@ -176,9 +176,7 @@ def _driven(problem: ContactProblem, part: Indices) -> Mask:
     return driven
 
 
-def negligible_sizes(
-    problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float
-) -> NegligibleSizes:
+def negligible_in(problem: ContactProblem, answer: Any, elastic: Vector, size: Vector, part: float) -> NegligibleSizes:
     """Return the forces and lengths that count as zero, a fraction of the intrinsic sizes or rounding.
 
     Parameters

@@ -9,7 +9,7 @@ import scipy.sparse.linalg as sla
 
 import contactqp as cq
 from contactqp.linalg.dense import RigidMotions
-from contactqp.linalg.measures import intrinsic_size, negligible_sizes, scale_through_rows
+from contactqp.linalg.measures import intrinsic_size, negligible_in, scale_through_rows
 from contactqp.model.solution import Answer
 
 FAR = 7  # of the contacts of `rail`, one where displacements are 1e-18 of the largest
@@ -277,7 +277,7 @@ def test_a_claimed_force_on_an_open_contact_gives_no_size() -> None:
     answer = Answer(np.array([0.0, 1e-12]), np.array([1e-300, 1e-6 - 1e-9]), None, np.zeros(0))
     size = intrinsic_size(problem, answer, answer.displacement)
     assert np.max(size) < 1e-7
-    assert np.max(negligible_sizes(problem, answer, answer.displacement, size, 1e-12).force) < 1e-11
+    assert np.max(negligible_in(problem, answer, answer.displacement, size, 1e-12).force) < 1e-11
 
 
 def test_parts_that_nothing_connects_have_their_own_size() -> None:
@@ -301,7 +301,7 @@ def test_a_part_that_nothing_moves_is_measured_by_the_others() -> None:
 def test_unknowns_without_stiffness_get_their_scale_from_their_rows() -> None:
     problem = cq.ContactProblem(np.diag([4.0, 0.0, 0.0]), [8.0, 0.0, 0.0], [[1.0, -2.0, 0.0]], [0.0])
     answer = Answer(np.array([2.0, 1.0, 0.0]), np.zeros(1), None, np.zeros(0))
-    least = negligible_sizes(problem, answer, answer.displacement, np.full(3, 4.0), 1e-12).force
+    least = negligible_in(problem, answer, answer.displacement, np.full(3, 4.0), 1e-12).force
     assert least[:2] == pytest.approx([8e-12, 16e-12])
     assert least[2] == pytest.approx(64 * np.finfo(float).eps * 8.0)
 
