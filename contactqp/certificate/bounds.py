@@ -93,7 +93,7 @@ NEXT_TO_NOTHING = 1e-12
 # A strain up to this multiple of that of the rigid part may be due to rounding of K.
 STRAINED_BY_ROUNDING = 16.0
 # The reason why forces of single contacts have no bound although their resultants have one.
-REDUNDANT = "the closed contacts and ties are redundant: their forces are not unique"
+REDUNDANT = "the closed contacts and ties are redundant, and the force of each one of them has no bound"
 # Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
 STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"

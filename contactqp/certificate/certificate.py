@@ -32,7 +32,7 @@ from contactqp.certificate.number_range import ABSURD, near_one
 from contactqp.certificate.state_answer import remember_verdict, state_verdict
 from contactqp.certificate.state_bodies import StateVerdict
 from contactqp.certificate.subset_bounds import believed_candidates, bounds_among, state_among
-from contactqp.certificate.uniqueness import Uniqueness, uniqueness
+from contactqp.certificate.uniqueness import Uniqueness, other_forces, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import RigidMotions
@@ -331,7 +331,8 @@ def _verdict(
         worst = int(np.argmax(bounds.relative_force_bound))
         failures.append(messages.of_force_bound(problem, answer, bounds, worst, error_tolerance))
     failures += measured.state.failures
-    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, measured.grazing, bounds))
+    pressing = (found.force_measure > tolerance) & ~measured.grazing
+    notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, pressing, measured.grazing, bounds))
     if measured.supported.size:
         notes += messages.of_friction_on_supports(problem, measured.supported)
     if measured.dependent:
@@ -374,7 +375,7 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
         yield messages.of_hidden_gap(problem, i, float(found.nothing.normal[i]))
 
 
-def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
+def _notes(problem: ContactProblem, pressing: Mask, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate: they explain and do not change the verdict."""
     notes: list[str] = []
     if grazing.any():
@@ -382,9 +383,7 @@ def _notes(problem: ContactProblem, grazing: Mask, bounds: Bounds) -> tuple[str,
             [problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[: messages.MOST_NAMED]]
         )
     if bounds.redundant and not problem.frictional:
-        notes.append(
-            messages.FORCES_NOT_UNIQUE + (": those that graze here may press in another" if grazing.any() else "")
-        )
+        notes += messages.of_shared_forces(*other_forces(problem, pressing, grazing))
     if problem.asymmetry > 0:
         notes.append(f"the stiffness was asymmetric by {problem.asymmetry:.2g} of its diagonal and was symmetrised")
     if bounds.cleared > WORTH_SAYING:

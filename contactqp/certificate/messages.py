@@ -199,6 +199,24 @@ FORCES_NOT_UNIQUE = (
     "forces are not unique: closed contacts or ties depend on each other, and other answers share their forces "
     "differently (contactqp.exact gives the range of each)"
 )
+FORCES_UNDECIDED = (
+    "forces may be not unique: closed contacts and ties depend on each other, and whether another answer shares their "
+    "forces differently was not decided (contactqp.exact gives the range of each)"
+)
+
+
+def of_shared_forces(several: bool | None, grazing: bool) -> tuple[str, ...]:
+    """Return the note on forces that may be shared differently; it is empty if they are unique, None if undecided.
+
+    Parameters
+    ----------
+    several : whether other forces belong to the same displacement
+    grazing : whether contacts that graze press in some of them
+    """
+    if several is None:
+        return (FORCES_UNDECIDED,)
+    others = ": those that graze here may press in another" if grazing else ""
+    return (FORCES_NOT_UNIQUE + others,) if several else ()
 
 
 def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:

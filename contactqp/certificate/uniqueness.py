@@ -1,9 +1,9 @@
-"""Examine cheaply whether a frictional answer and its forces are unique.
+"""Examine cheaply whether forces, and with friction the answer, are unique.
 
-Forces: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu E_T'd), E_b the
-tangential rows of those that stick and A the ties, contact forces for a displacement are unique if no combination of
-these rows vanishes, except of ties only. Displacements: `contactqp.critical_friction` where the answer is the only one
-at every load; at this load, in the plane and with few contacts, the answers of all combinations of open, stick and slip
+Forces with friction: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu
+E_T'd), E_b the tangential rows of those that stick and A the ties, contact forces for a displacement are unique if no
+combination of these rows vanishes, except of ties only. Displacements: `contactqp.critical_friction` where the answer
+is the only one at every load; at this load, in the plane and with few contacts, the answers of all combinations of open, stick and slip
 are counted (`contactqp.certificate.other_answers`). Bodies with free motions have many displacements, and only
 quantities that these motions do not change are unique.
 """
@@ -26,9 +26,9 @@ from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
-from contactqp.linalg.nonnegative import DEPENDENT_ROWS, width_of
+from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, width_of
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector, zero_beneath
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution, Violations
 
@@ -43,6 +43,8 @@ MOST_LINEARISED = 100
 MOST_LOOKED_AT, DIRECTIONS = 30, 16
 # The range of forces examined relative to the largest, and the difference that counts.
 FARTHEST, CHANGES = 10.0, 1e-8
+# The most closed contacts and ties whose forces are compared without friction, and the least change that counts.
+MOST_SHARING, GAINS = 500, 0.5
 # The least weight of a contact in a dependence.
 SHARE = 1e-6
 
@@ -221,6 +223,40 @@ def _that_change(turns: Array, shared: Indices, mu: Vector, state: _State) -> In
     unit = float(np.max(length, initial=0.0)) or 1.0
     widest = [width_of(turns[of == i] / unit, rows / unit, room, FARTHEST) for i in shared]
     return np.asarray(shared[np.array(widest) > CHANGES])
+
+
+def other_forces(problem: ContactProblem, pressing: Mask, grazing: Mask) -> tuple[bool | None, bool]:
+    """Return whether other forces belong to the same displacement without friction, and whether grazing contacts press
+    in some of them.
+
+    The forces of all solutions are complementary to each displacement of them. So they differ by a change l of closed
+    contacts and n of ties with E'l + A'n = 0, in which a contact that grazes only gains force, and a small multiple of
+    each such change leaves the others pressing. The first is None if this was not decided.
+
+    Parameters
+    ----------
+    problem : without friction
+    pressing, grazing : (m,) masks, of contacts with a force, and of those that touch without one
+    """
+    rows = sp.csr_array(sp.vstack([problem.normal[pressing], problem.normal[grazing], problem.tie]))
+    if not rows.nnz or rows.shape[0] > MOST_SHARING:
+        return None, False
+    moved = np.unique(rows.indices)
+    scaled = rows[:, moved].multiply(unknown_scale(problem)[moved]).tocsr()
+    largest = abs(scaled).max(axis=1).toarray().ravel()
+    unit = scaled.multiply(1 / np.where(largest > 0, largest, 1.0)[:, None]).tocsr()
+    touches = np.zeros(rows.shape[0], dtype=bool)
+    touches[pressing.sum() : pressing.sum() + grazing.sum()] = True
+    held = unit[~touches].toarray()
+    values = np.linalg.svd(held, compute_uv=False)
+    several = len(held) > len(moved) or (bool(len(held)) and bool(values[-1] <= DEPENDENT_ROWS * values[0]))
+    if not touches.any():
+        return several, False
+    # Changes may have any size, so that the largest gain of all is at least one if there is any.
+    bounds = np.column_stack([np.where(touches, 0.0, -np.inf), np.where(touches, 1.0, np.inf)])
+    found = highs(-touches.astype(float), **given_rows("eq", unit.T, np.zeros(unit.shape[1])), bounds=bounds)
+    gains = found is not None and -found.fun > GAINS
+    return True if several or gains else None if found is None else False, gains
 
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:

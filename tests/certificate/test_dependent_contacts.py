@@ -283,3 +283,28 @@ def test_unique_forces_have_no_such_note() -> None:
     three = problem.with_contacts(np.array([0, 1, 2]))
     solution = cq.solve(three.replace(load=[-10.0, -2.0, 2.0]))
     assert not any("not unique" in note for note in solution.certificate.notes)
+
+
+def test_contacts_that_graze_and_can_never_press_are_no_other_forces() -> None:
+    """Two equal rows touch beside a tie that neither load nor stiffness pushes: all forces are zero, and unique."""
+    rows, gap = [[0.0, 1.0], [1.0, -1.0], [0.0, 1.0], [0.0, -1.0], [-1.0, -1.0]], [-1.0, 3.0, -1.0, 2.0, 1.0]
+    problem = cq.ContactProblem.from_qp(np.zeros((2, 2)), [0.0, 0.0], G=rows, h=gap, A=[[-1.0, 1.0]], b=[-2.0])
+    solution = cq.solve(problem)
+    assert (solution.certificate.grazing, cq.exact(problem).unique_forces) == ((0, 2), True)
+    assert not any("unique" in note for note in solution.certificate.notes)
+    # A load on both rows, with more than enough contacts to carry it, is shared in many ways.
+    pushed = cq.solve(problem.replace(load=[0.0, 1.0]))
+    assert any(note.startswith("forces are not unique") for note in pushed.certificate.notes)
+
+
+def test_a_contact_that_grazes_may_press_beside_others_that_already_do() -> None:
+    """A block on its two edges and between them: its weight rests on the edges, or in part between them."""
+    rows = [[-1.0, 1.0], [-1.0, 0.0], [-1.0, -1.0]]
+    problem = cq.ContactProblem(np.zeros((2, 2)), [-2.0, 0.0], rows, np.zeros(3))
+    for force in ([1.0, 0.0, 1.0], [0.0, 2.0, 0.0]):
+        (note,) = cq.certify(problem, np.zeros(2), force).notes[-1:]
+        assert note.endswith("those that graze here may press in another")
+    # Without a load nothing presses, and nothing can.
+    idle = cq.certify(problem.replace(load=np.zeros(2)), np.zeros(2), np.zeros(3))
+    assert idle.passed
+    assert not any("unique" in note for note in idle.notes)
