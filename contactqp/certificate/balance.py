@@ -87,6 +87,13 @@ def work_that_meets(problem: ContactProblem, answer: Answer) -> float:
     return float(abs(problem.load) @ moved + contacts + abs(answer.tie_force) @ tied)
 
 
+def imposed_work(problem: ContactProblem, answer: Answer) -> float:
+    """Return |l|'|g| + |nu|'|b|, the work of forces on imposed lengths, which no free motion changes."""
+    pushing = answer.normal_force != 0  # other gaps may be infinite
+    contacts = abs(answer.normal_force[pushing]) @ abs(problem.gap[pushing])
+    return float(contacts + abs(answer.tie_force) @ abs(problem.tie_value))
+
+
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
     """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
     forces = _forces_of_rigid_part(problem, condensation, displacement)

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.balance import work_that_meets
+from contactqp.certificate.balance import imposed_work, work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
@@ -79,10 +79,10 @@ NOTABLE = 1e-11
 DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
 ROUNDED = 1e-26
-# The number of rows up to which dense systems distribute a residual over forces, and a safety factor.
-MOST_DENSE, CAUTION = 500, 4.0
-# The number of random forces by which the sizes of many motions are estimated.
-PROBES = 24
+# The most rows whose residual dense systems distribute over forces, and a safety factor; random forces for more rows.
+MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
+# An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
+AWAY = 1e6
 DECIDED = "what rounding of the data decides is not proven"
 # An answer is accepted if it is this close to a solution up to such a conflict.
 NEAR = 1e-6
@@ -187,7 +187,8 @@ def _from_solution(
         missed = min(missed, float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned)))
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
-    rounded = max(work_that_meets(problem, solution) * EPS, REACH * least**2)
+    works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
+    rounded = max(EPS * min(works), REACH * least**2)
     error = distance + float(np.sqrt(8 * wide))
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
@@ -324,8 +325,14 @@ def narrow(state: ClosedState) -> bool:
 
 
 def doubtful(state: ClosedState) -> bool:
-    """Return whether the bounds of a program's energy are so wide that its answer may be refused."""
-    return mostly_bare(state.problem) and not _width(state) <= DOUBTFUL * _energy(state)[1]
+    """Return whether the bounds of a program's energy are so wide, or it ran so far, that its answer may be refused."""
+    return mostly_bare(state.problem) and (ran_away(state) or not _width(state) <= DOUBTFUL * _energy(state)[1])
+
+
+def ran_away(state: ClosedState) -> bool:
+    """Return whether a solution lies so far along a free motion that doubles round its energy to few digits."""
+    problem, answer = state.problem, state.answer.double()
+    return work_that_meets(problem, answer) > AWAY * max(_energy(state)[1], imposed_work(problem, answer))
 
 
 def contradictory(state: ClosedState) -> bool:
@@ -338,7 +345,8 @@ def nearer(state: ClosedState, before: ClosedState) -> bool:
     if not (doubtful(before) or contradictory(before)):
         return state.better_than(before, WORTH_ANOTHER)
     own, last = contradictory(state), contradictory(before)
-    return (own < last and not doubtful(state)) or (own <= last and _width(state) < _width(before))
+    fewer = own < last and not doubtful(state)
+    return fewer or (own <= last and (ran_away(state) < ran_away(before) or _width(state) < _width(before)))
 
 
 def narrowed(state: ClosedState, effort: Effort) -> ClosedState:

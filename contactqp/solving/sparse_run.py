@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, unique_on
+from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, ran_away, unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import least_norm, pardiso
 from contactqp.linalg.condensation import condense
@@ -258,7 +258,7 @@ class SparseRun(Run):
         options = dict(self._settings.options) or (OF_TWINS if self.name == "clarabel" else {})
         units = [(self._twin, self._scaling)] + [balanced(self.problem)] * mostly_bare(self.problem)
         for twin, scaling in units:
-            if self._asked(twin, scaling, options):
+            if self._asked(twin, scaling, options) and self._state is not None and not ran_away(self._state):
                 break
 
     def _asked(self, twin: ContactProblem, scaling: Scaling | None, options: dict[str, Any]) -> bool:
@@ -303,7 +303,8 @@ class SparseRun(Run):
             if self._state is None:
                 self._settle(self.candidate)
             kept = self._state
-            if (kept is None or (mostly_bare(self.problem) and not narrow(kept))) and not self._settings.max_iter:
+            wide = kept is None or (mostly_bare(self.problem) and (ran_away(kept) or not narrow(kept)))
+            if wide and not self._settings.max_iter:
                 self._ask_again()
                 self._state = self._state or kept
                 if self._state is None and not self.candidate.claimed and INFEASIBLE not in self.candidate.status:

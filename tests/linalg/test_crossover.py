@@ -470,3 +470,42 @@ def test_corrections_find_the_contacts_that_an_interior_point_does_not_tell() ->
     assert state.holds
     energy = problem.energy(scaling.unscale(Candidate(state.answer.double())).displacement)
     assert energy == pytest.approx(problem.energy(x), rel=1e-12)
+
+
+def with_a_free_face(seed: int) -> tuple[cq.ContactProblem, np.ndarray, float]:
+    """A program whose solutions are not unique, one of them with entries of up to four, and its least cost."""
+    random = np.random.default_rng(seed)
+    n = int(random.integers(10, 40))
+    rows = random.integers(-3, 4, (int(random.integers(n // 4, n)), n))
+    x, z = random.integers(-4, 5, n), random.integers(1, 9, len(rows))
+    factor = 2.0**-33 if seed % 2 else 2.0**40
+    problem = cq.ContactProblem.from_qp(np.zeros((n, n)), -(rows.T @ z) * factor, rows.astype(float), rows @ x)
+    return problem, x.astype(float), float(-(z @ (rows @ x)) * factor)
+
+
+@pytest.mark.parametrize("method", ["active-set", "clarabel", "piqp"])
+@pytest.mark.parametrize("seed", range(6))
+def test_solutions_of_programs_that_are_not_unique_do_not_run_away(seed: int, method: str) -> None:
+    """Clarabel and PIQP run to entries of 1e13 where the unit of the cost is far from one, and doubles round rows to
+    5e-3 there; such an answer passed, with an energy 2e-3 off.
+    """
+    problem, _, least = with_a_free_face(seed)
+    solution = cq.solve(problem, method)
+    assert solution.certificate.proven
+    assert abs(solution.displacement).max() < 1e7
+    assert solution.energy == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_answer_that_ran_away_is_refused(seed: int) -> None:
+    """The solution is moved by 1e13 along what no row sees, as far as doubles tell."""
+    problem, x, _ = with_a_free_face(seed)
+    rows = problem.normal.toarray()
+    free = np.linalg.svd(rows)[2][len(rows) :]
+    if not len(free):
+        pytest.skip("no motion is free")
+    forces = cq.solve(problem).normal_force
+    assert cq.certify(problem, x, forces).passed
+    away = cq.certify(problem, x + 1e13 * free[0], forces)
+    assert abs(rows @ (1e13 * free[0])).max() > 1e-4
+    assert not away.passed
