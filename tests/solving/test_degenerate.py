@@ -291,3 +291,46 @@ def test_a_chain_that_loads_squeeze_is_pushed_out_of_a_stop_without_force(method
     assert found.free_motions
     if method == "active-set":
         assert not found.work.routes
+
+
+def _drawn_body(rng: np.random.Generator, *, rough: bool) -> dict[str, np.ndarray]:
+    """Return a body of stiffness B'B + 1 with two contacts in small integers, at a load that closes one or both."""
+    n = int(rng.integers(2, 5))
+    B = rng.integers(-2, 3, size=(n, n)).astype(float)
+    normal = rng.integers(-2, 3, size=(2, n)) + np.eye(2, n) / 2
+    data = {"stiffness": B.T @ B + np.eye(n), "normal": normal, "gap": rng.integers(0, 3, 2) / 4}
+    data["load"] = 4 * normal.sum(axis=0) + rng.integers(-2, 3, n)
+    if rough:
+        data |= {"tangent": rng.integers(-1, 2, size=(2, n)) + np.eye(2, n, 1) / 4, "friction": np.full(2, 0.125)}
+    return data
+
+
+@pytest.mark.parametrize("rough", [False, True])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_bodies_that_nothing_joins_have_the_answers_that_each_has_alone(seed: int, rough: bool) -> None:
+    rng = np.random.default_rng(seed)
+    pair = [_drawn_body(rng, rough=rough) for _ in range(2)]
+    matrices = [name for name in ("stiffness", "normal", "tangent") if name in pair[0]]
+    both = {name: block_diag(*(one[name] for one in pair)) for name in matrices}
+    both |= {name: np.concatenate([one[name] for one in pair]) for name in set(pair[0]) - set(matrices)}
+    alone, together = [cq.solve(cq.ContactProblem(**one)) for one in pair], cq.solve(cq.ContactProblem(**both))
+    assert any(force > 0 for one in alone for force in one.normal_force)
+    assert together.certificate.proven == all(one.certificate.proven for one in alone)
+    for name in ("displacement", "normal_force", *(["friction_force"] if rough else [])):
+        expected = np.concatenate([getattr(one, name) for one in alone])
+        np.testing.assert_allclose(getattr(together, name), expected, rtol=0, atol=1e-12 * np.max(abs(expected)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_tie_is_two_contacts_that_oppose_each_other(seed: int) -> None:
+    """One of the two carries the force of the tie, and nothing else changes."""
+    rng = np.random.default_rng(seed)
+    body = _drawn_body(rng, rough=False)
+    row, value = rng.integers(1, 4, size=(1, len(body["load"]))).astype(float), np.array([0.25])
+    tied = cq.solve(cq.ContactProblem(**body, tie=row, tie_value=value))
+    rows = {"normal": np.vstack([body["normal"], row, -row]), "gap": np.concatenate([body["gap"], value, -value])}
+    opposed = cq.solve(cq.ContactProblem(**body | rows))
+    np.testing.assert_allclose(opposed.displacement, tied.displacement, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(opposed.normal_force[:2], tied.normal_force, rtol=0, atol=1e-10)
+    assert opposed.normal_force[2] - opposed.normal_force[3] == pytest.approx(tied.tie_force[0], abs=1e-10)
+    assert opposed.certificate.passed
