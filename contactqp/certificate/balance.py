@@ -326,7 +326,8 @@ def resultants(values: Vector, right: Array, work: Vector, stray: Vector) -> Res
 
 def _worst_resultant(motions: Array, work: Vector, stray: Vector, size: Vector, hidden: float) -> float:
     """Return max over a of (|work'a| - stray'|a|) / |motions a|'size, or `hidden` if rounding hides the forces."""
-    left, values, right = np.linalg.svd(motions * size[:, None], full_matrices=False)
+    pushed = size > 0  # nothing else enters the sums
+    left, values, right = np.linalg.svd((motions * size[:, None])[pushed], full_matrices=False)
     found = resultants(values, right, work, stray)
     basis = left[:, : len(found.work)]
     forces = np.sum(abs(basis), axis=0)

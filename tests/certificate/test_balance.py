@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate import balance
 from contactqp.certificate.balance import _worst_direction
 
 # Of a lattice in corners that is free to slide: forces along two motions, next to none along the third.
@@ -36,6 +37,24 @@ def test_a_program_that_its_solver_gives_up_is_solved_more_roughly():
     random = np.random.default_rng(0).normal(size=(3, 20000))
     random = random / np.sum(abs(BASIS @ random), axis=0)
     assert np.max(WEIGHT @ random) <= best * (1 + 1e-6)
+
+
+def test_unknowns_without_outer_forces_are_no_part_of_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program had two rows of zeros for each of them, most unknowns of a body, and took a third of a step."""
+    random = np.random.default_rng(1)
+    motions, size = random.normal(size=(40, 3)), np.where(np.arange(40) < 9, 1.0, 0.0)
+    work, posed = np.array([3.0, 1.0, 2.0]), []
+
+    def worst_direction(basis: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        posed.append(len(basis))
+        return _worst_direction(basis, weight)
+
+    monkeypatch.setattr(balance, "_worst_direction", worst_direction)
+    found = balance._worst_resultant(motions, work, np.zeros(3), size, 0.0)
+    assert posed == [9]
+    a = random.normal(size=(3, 20000))
+    sampled = np.max(abs(work @ a) / (size @ abs(motions @ a)))
+    assert sampled <= found * (1 + 1e-6) <= 1.2 * sampled
 
 
 @pytest.mark.parametrize("turned", [1.0, -1.0])
