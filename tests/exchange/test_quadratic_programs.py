@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from scipy.io import savemat
 import contactqp as cq
 from contactqp.cli import main
 from contactqp.exchange.fclib import write_fclib
+from contactqp.exchange.processes import refuse_no_numbers
 from contactqp.model.quadratic_program import answer_of_program
 
 P, Q = np.diag([2.0, 4.0]), np.array([-2.0, 4.0])
@@ -156,6 +158,38 @@ def test_what_is_no_qps_is_refused(tmp_path: Path) -> None:
     path.write_text("nothing of the kind")
     with pytest.raises(cq.InvalidProblem, match="QPS"):
         cq.read_problem(path)
+
+
+NUMBERS = """NAME T
+* a comment, and names with spaces
+ROWS
+ N  COST
+ G  ROW 1
+COLUMNS
+    X 0  COST  1.0  ROW 1  {}
+RHS
+    RHS  ROW 1  2.0
+RANGES
+    RNG  ROW 1  .5E+1
+BOUNDS
+ FR BND  X 0
+ UP BND  X 0  {}
+QUADOBJ
+    X 0  X 0  1
+ENDATA
+"""
+
+
+@pytest.mark.parametrize("no_number", ["abc", "1,5", "2.0D3", "0x2", "2_0", "np.float64(1.0)"])
+def test_numbers_that_are_none_are_refused(no_number: str, tmp_path: Path) -> None:
+    """HiGHS reads "abc" as 0, "1,5" as 1 and "2.0D3" as 2: a program of these was proven, with an energy of zero."""
+    path = tmp_path / "t.qps"
+    path.write_text(NUMBERS.format("-1e0", "Inf"))
+    refuse_no_numbers(str(path))
+    for numbers, line in ((("1.0", no_number), 14), ((no_number, "1.0"), 7)):
+        path.write_text(NUMBERS.format(*numbers))
+        with pytest.raises(ValueError, match=rf"line {line}: expected a number, got '{re.escape(no_number)}'"):
+            refuse_no_numbers(str(path))
 
 
 def command(*arguments: str) -> int:
