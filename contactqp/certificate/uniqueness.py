@@ -3,9 +3,9 @@
 Forces with friction: with E_c the normal rows of closed contacts (those that slip with their friction along, E_N + mu
 E_T'd), E_b the tangential rows of those that stick and A the ties, contact forces for a displacement are unique if no
 combination of these rows vanishes, except of ties only. Displacements: `contactqp.critical_friction` where the answer
-is the only one at every load; at this load, in the plane and with few contacts, the answers of all combinations of open, stick and slip
-are counted (`contactqp.certificate.other_answers`). Bodies with free motions have many displacements, and only
-quantities that these motions do not change are unique.
+is the only one at every load; at this load, in the plane and with few contacts, the answers of all combinations of
+open, stick and slip are counted (`contactqp.certificate.other_answers`). Bodies with free motions have many
+displacements, and only quantities that these motions do not change are unique.
 """
 
 from __future__ import annotations

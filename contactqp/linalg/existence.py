@@ -84,10 +84,14 @@ class DrivenMotion(ReadOnly):
 
 
 def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
-    """Raise NoEquilibrium if a rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it."""
+    """Raise NoEquilibrium if a rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it.
+
+    Constraints that conflict are told first, as holding the motion would not help there.
+    """
     found = driven_motion(problem, rigid)
     if found is None:
         return
+    refuse_sparse_conflict(problem)
     advice, size = "", float(problem.load_size @ abs(found.motion))
     if found.work <= MEANT_TO_BALANCE * size:
         advice = (
@@ -354,8 +358,8 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
 def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool = False) -> None:
     """Raise NoEquilibrium if a motion near this one (n,), in scaled unknowns, is driven and unresisted.
 
-    With `strictly` K z must be exactly zero, as a regular K resists smooth motions of long chains by no more than
-    rounding of its entries.
+    Constraints that conflict are told first. With `strictly` K z must be exactly zero, as a regular K resists smooth
+    motions of long chains by no more than rounding of its entries.
     """
     twin, scaling = equilibrated(problem)
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
@@ -371,6 +375,7 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
         if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
             continue
         if not (strictly and np.any((SparseRows(twin.stiffness_rows) @ extend(motion)).double())):
+            refuse_sparse_conflict(problem)
             moved = scaling.unknowns * motion
             largest = float(np.max(abs(moved)))
             found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from contactqp.elements.obstacle import Obstacle, Plane
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.errors import InvalidProblem, StartWarning, warn
+from contactqp.model.arrays import EPS
 from contactqp.scene.units import number, read_unit, vector
 
 if TYPE_CHECKING:  # meshes are imported where a scene has bodies
@@ -177,6 +178,8 @@ def _squares(points: Array, centre: Any) -> Array:
 
 # Depths count as equal if they differ by less than this part of the larger one.
 SAME = 1e-6
+# Gaps up to this part of the largest coordinate may be rounding of a few products of coordinates with a normal.
+ROUNDED = 16 * EPS
 
 
 def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
@@ -193,8 +196,19 @@ def warn_of_nodes(scene: SceneData, gaps: Array) -> None:
         warn_of_start(scene, place, doubt)
 
 
+def _beyond_rounding(scene: SceneData, gaps: Array) -> Array:
+    """Return initial gaps, zero where the rounding of coordinates and of the normal may have made them [length]."""
+    lengths = [float(x) for node in scene.every_node for x in scene.point(node)]
+    for item in scene.obstacles:
+        stated = [*(item.point or ()), *(item.centre or ()), *(item.apex or ())]
+        lengths += vector(scene.system, stated if item.radius is None else [*stated, item.radius])
+    size = max((abs(x) for x in lengths), default=0.0)
+    return np.where(abs(gaps) <= ROUNDED * size, 0.0, gaps)
+
+
 def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
     """Return the doubts about contacts of nodes, by the index of the contact."""
+    gaps = _beyond_rounding(scene, gaps)
     if not len(gaps) or np.min(gaps) > 0:
         return {}
     from contactqp.elements.pairing import CURE, doubt_of_depth
@@ -229,7 +243,7 @@ def warn_of_unpushed(scene: SceneData, gaps: Array, history: Sequence[Solution])
         return
     from contactqp.elements.pairing import CURE
 
-    told = _doubts_of_nodes(scene, gaps)
+    told, gaps = _doubts_of_nodes(scene, gaps), _beyond_rounding(scene, gaps)
     for place in np.flatnonzero((gaps < 0) & (history[-1].contact_status == "open")).tolist():
         contact, depth = scene.contacts[place], -float(gaps[place])
         if (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -231,6 +232,23 @@ def test_rigid_bodies_that_overlap_are_moved_apart(seed: int) -> None:
     assert solution.certificate.passed
     assert np.all(solution.gap >= -1e-12)
     assert E.T @ solution.normal_force == pytest.approx(load, abs=1e-12)
+
+
+@pytest.mark.parametrize("condense", ["auto", False])
+def test_constraints_that_conflict_are_told_before_a_motion_that_the_load_drives(condense: Any) -> None:
+    """A support along the driven motion, which was advised, would not move the two walls apart."""
+    problem = cq.ContactProblem(np.zeros((2, 2)), [0.0, 1.0], [[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0])
+    with pytest.raises(cq.NoEquilibrium, match="contact 0, contact 1") as caught:
+        cq.solve(problem, condense=condense)
+    assert_conflict(problem, caught.value.proof)
+    # The sparse way found first that the energy falls for ever, where a row contradicts a tie.
+    rows = [[1, -1, 0, 0], [1, -1, -1, 0], [0, -1, 1, 1], [0, -1, 0, 1], [0, 0, 0, -1]]
+    ties = [[0, -1, 1, 1], [1, 0, 1, 1]]
+    falling = cq.ContactProblem(
+        np.zeros((4, 4)), [0.0, 1.0, 1.0, 0.0], rows, [0, 0, 1, 0, 0], tie=ties, tie_value=[2, 2]
+    )
+    with pytest.raises(cq.NoEquilibrium, match="contact 2, tie 0"):
+        cq.solve(falling, condense=condense)
 
 
 def test_a_stated_translation_is_named_before_what_gains_most() -> None:

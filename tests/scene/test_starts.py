@@ -308,6 +308,28 @@ def test_a_beam_along_a_stop_is_doubted_where_nothing_has_pushed_it(
         assert all(text.startswith("contacts[0] ('end on stop'): ") and doubt in text for text in found)
 
 
+def node_on_a_ramp(at: tuple[str, str]) -> cq.Scene:
+    """A node on two springs, at the ramp -x + 3 z = 0 or near it, which a load pulls off."""
+    springs = [
+        {"name": name, "nodes": ["a"], "direction": along, "stiffness": "1 kN/m"}
+        for name, along in (("across", [1, 0]), ("up", [0, 1]))
+    ]
+    return cq.Scene(
+        title="ramp", axes=["x", "z"], nodes=[{"name": "a", "at": list(at)}], springs=springs,
+        obstacles=[{"name": "ramp", "point": ["0 m", "0 m"], "normal": [-1, 3]}],
+        contacts=[{"name": "c", "node": "a", "obstacle": "ramp"}], loads=[{"unknown": "a.z", "value": "100 N"}],
+    )  # fmt: skip
+
+
+def test_a_start_within_the_rounding_of_coordinates_is_not_inside() -> None:
+    """A node on a ramp, 1.4e-17 m inside by the rounding of its coordinates, was said to start inside of it."""
+    on_it = node_on_a_ramp(("0.30000000000000004 m", "0.1 m"))
+    assert -1e-16 < on_it.problem().gap[0] < 0
+    assert not doubts_of(lambda: cq.run(on_it))
+    (doubt,) = doubts_of(lambda: cq.run(node_on_a_ramp(("0.300001 m", "0.1 m"))))
+    assert "inside 'ramp' and ends outside" in doubt
+
+
 def test_strict_refuses_a_stop_that_never_pushes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     text = (REVERSED.parent / "cantilever_stop.toml").read_text(encoding="utf-8")
     assert "normal = [0, 1]" in text
