@@ -182,6 +182,8 @@ def _joined(acting: Mask, drag: Vector | None, ties: int) -> Array | None:
 def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: Vector) -> Vector:
     """Return the distances (m,) beyond which contacts can be in another state, in the norm of forces and slips.
 
+    A contact with a slip that counts as none may also stick, at any distance.
+
     Parameters
     ----------
     refined, norms : the refined answer and the norms of differences of forces
@@ -191,6 +193,7 @@ def margins_of(refined: RefinedLengths, norms: ForceNorms, status: Status, mu: V
     sticks, slides = closed & (status == STICK) & frictional, (abs(status) == 1) & frictional
     room = over(refined.room(mu), mu * norms.normal_force + norms.tangential_force)
     along = lengths(refined.slip) if refined.slip.shape[1] > 1 else status * refined.slip[:, 0]
+    along = np.where(along <= refined.still, np.minimum(along, 0.0), along)
     found = np.where(closed, over(refined.normal, norms.normal_force), over(refined.gap, norms.gap))
     found = np.where(sticks, np.minimum(found, room), found)
     return np.asarray(np.where(slides, np.minimum(found, over(along, norms.slip)), found))

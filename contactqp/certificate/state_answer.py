@@ -326,7 +326,8 @@ class _Comparison:
         """
         (moved, strain), (pushed, _) = distance.displacement, distance.force
         moved += distance.rounding
-        return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size, unsure)
+        still = np.where(np.isfinite(self.still), self.still, 0.0)
+        return Compared(refined, status, self._frictional, moved, pushed, last, strain, distance.size, unsure, still)
 
     def _last_correction(self, refined: RefinedState, moved: float) -> float:
         """Return the size of the last correction, whose displacement has the energy norm `moved` [root of energy]."""

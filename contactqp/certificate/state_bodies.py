@@ -240,6 +240,7 @@ class Compared:
     strain: float  # |u_c|_K
     size: float  # |l_c|_W
     unsure: float  # rounding of |u_c|_K
+    still: Vector  # (m,) slips up to which there is none [length]
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +252,7 @@ class RefinedLengths:
     gap: Vector  # (m,) of w
     slip: Array  # (m, d-1) of w
     correction: float  # |w - u|_K of the refined displacement u, and errors of gaps and slips
+    still: Vector | float = 0.0  # (m,) slips up to which there is none, whose direction decides nothing
 
     def room(self, mu: Vector) -> Vector:
         """Return mu l_N - |l_T| (m,), reduced by its rounding."""
@@ -286,7 +288,7 @@ def refined_lengths(
     slip = (rows.slip(moved) - extend(origin)).double().reshape(m, -1)
     scale = compliance.scale
     forces = force.double() * scale, friction.double().reshape(slip.shape) * scale[:, None]
-    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction)
+    return RefinedLengths(*forces, gap / scale, slip / scale[:, None], correction, compared.still / scale)
 
 
 def with_rounding_of_motions(

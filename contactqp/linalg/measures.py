@@ -200,22 +200,25 @@ def negligible_in(problem: ContactProblem, answer: Any, elastic: Vector, size: V
         return np.asarray(np.maximum(part * of_rows(problem, rows, size), rounded))
 
     least = ROUNDING_OF_LENGTH / part * elastic if part > 0 else elastic
-    across, tangent = _beside_lengths(problem, u, least, size, along=False), np.zeros(0)
+    across, tangent = _beside_lengths(problem, u, least, size), np.zeros(0)
     if problem.tangent is not None:
-        tangent = lengths(problem.tangent, _beside_lengths(problem, u, least, size, along=True))
+        tangent = lengths(problem.tangent, _beside_lengths(problem, u, least, size, part * size))
     of_contacts = None if of_contacts is None else np.minimum(force, of_contacts)
     tie = lengths(problem.tie, across) if problem.ties else np.zeros(0)
     return NegligibleSizes(force, lengths(problem.normal, across), tangent, tie, of_contacts)
 
 
-def _beside_lengths(problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, along: bool) -> Vector:
+def _beside_lengths(
+    problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, still: Vector | None = None
+) -> Vector:
     """Return sizes S (n,) limited to 1e3 times the longest of |g|, |b| and |E||u| over |E_i D| in the part.
 
-    Tangential lengths with slip origins are included if `along` is set. Parts without stated lengths are not limited.
-    The limit is at least the strain of displacements `least` (n,), up to 1e6 times the longest length.
+    Parts without stated lengths are not limited. The limit is at least the strain of displacements `least` (n,), up to
+    1e6 times the longest length. For slips, tangential lengths with slip origins are included, and parts whose stated
+    lengths are all at most `still` (n,), as slip origins that are rounding, are not limited.
     """
-    part, (longest, here) = parts(problem), _longest_stated(problem, along)
-    cut = (longest > 0)[part] & (size > OF_ALL_LENGTHS * longest[part])
+    part, (longest, here) = parts(problem), _longest_stated(problem, still is not None)
+    cut = (longest[part] > (0.0 if still is None else still)) & (size > OF_ALL_LENGTHS * longest[part])
     if not cut.any():
         return size
     for of_row in here:

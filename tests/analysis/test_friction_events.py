@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import contactqp as cq
 from contactqp.analysis import friction_events
+from contactqp.certificate.uniqueness import FORCES
 from tests.analysis.friction_paths import ORDERS, WEIGHTS, pulled, rolling_block, truss_from_rest
 from tests.solving.friction.problems import TOUCH, one_contact, two_masses
 
@@ -349,3 +352,41 @@ def test_a_loose_body_that_the_load_sets_going_jumps_as_it_does_without_friction
     with pytest.raises(cq.NoEquilibrium, match=r"^follow_path: at t = 1: the load drives .* unknown 1 by \+1") as ended:
         cq.follow_path(block, [[push, 1.0]], events="exact")
     assert ended.value.proof is not None
+
+
+def node_on_a_guide(friction: float) -> cq.ContactProblem:
+    """A node above a floor on a guide of 45 degrees, u_x + u_z = 0: where it is closed it does not move."""
+    return cq.ContactProblem(
+        stiffness=2 * np.eye(2), load=[0.0, 0.0], normal=[[0.0, -1.0]], gap=[0.0], tangent=[[1.0, 0.0]],
+        friction=friction, tie=[[1.0, 1.0]], tie_value=[0.0],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.9, 0.999999])
+@pytest.mark.parametrize(
+    "options", [{"events": "exact"}, pytest.param({"steps": 60}, marks=pytest.mark.slow), {"steps": 7}]
+)
+def test_a_node_that_comes_back_to_its_wedge_sticks_in_it(options: dict[str, Any], friction: float) -> None:
+    """N + T = 3 with |T| <= mu N: the slip origin is rounding, so that the sign of the slip is, too."""
+    history = cq.follow_path(node_on_a_guide(friction), [[1.0, -3.0], [-1.0, 1.0], [2.0, -1.0]], **options)
+    last = history[-1]
+    assert FORCES in last.certificate.uniqueness
+    assert last.contact_status == ["stick"]
+    assert not cq.certify(last.problem, last).proven
+    assert last.normal_force + last.friction_force[:, 0] == pytest.approx([3.0], rel=1e-9)
+    assert abs(last.friction_force[0, 0]) <= friction * last.normal_force[0] * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.5, 0.9])
+@pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 7}])
+def test_a_ball_comes_back_to_its_groove(options: dict[str, Any], friction: float) -> None:
+    c = 0.5**0.5
+    problem = cq.ContactProblem(
+        stiffness=[[2.0, 0.3], [0.3, 2.0]], load=[0.0, 0.0], normal=[[-c, -c], [c, -c]], gap=[0.0, 0.0],
+        tangent=[[c, -c], [c, c]], friction=friction,
+    )  # fmt: skip
+    last = cq.follow_path(problem, [[0.3, -10.0], [0.2, 10.0], [0.1, -10.0]], **options)[-1]
+    assert last.certificate.passed
+    assert list(last.contact_status) == ["stick", "stick"]
+    assert FORCES in last.certificate.uniqueness
+    np.testing.assert_allclose(last.displacement, 0.0, atol=1e-15)
