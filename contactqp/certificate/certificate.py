@@ -68,8 +68,8 @@ NO_ROUNDING = 1e-9
 HOLDS = 1e-10
 # Part of the intrinsic size that `holds` counts as zero, smaller than the certificate's for the same reason.
 NOTHING = 1e-13
-# Changes of the forces below this relative size are not mentioned in the notes.
-WORTH_SAYING = 1e-9
+# Changes of forces below this relative size are not mentioned in notes; a force of so many bounds is proven to press.
+WORTH_SAYING, PROVEN_FORCE = 1e-9, 10.0
 NONE = np.zeros(0, dtype=int)
 NOT_CONDENSED = "friction: the bodies are not condensed onto their contacts"
 NOT_COMPARED = "friction: no answer of its own states is near whose forces are unique"
@@ -379,9 +379,8 @@ def _notes(problem: ContactProblem, pressing: Mask, grazing: Mask, bounds: Bound
     """Return the notes of a certificate: they explain and do not change the verdict."""
     notes: list[str] = []
     if grazing.any():
-        notes += messages.of_grazing(
-            [problem.contact_name(int(i)) for i in np.flatnonzero(grazing)[: messages.MOST_NAMED]]
-        )
+        named = np.flatnonzero(grazing)[: messages.MOST_NAMED]
+        notes += messages.of_grazing([problem.contact_name(int(i)) for i in named])
     if bounds.redundant and not problem.frictional:
         notes += messages.of_shared_forces(*other_forces(problem, pressing, grazing))
     if problem.asymmetry > 0:
@@ -440,19 +439,18 @@ def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, t
     """Return a mask (m,) of the contacts whose gap and force both vanish.
 
     A contact force may be tiny beside huge forces that cancel inside a stiff body at the same unknowns. Where the
-    energy of the answer is known, the force must vanish beside that as well.
+    energy of the answer is known, the force must vanish beside that as well, and a force that is more than rounding of
+    the others and than `PROVEN_FORCE` times its proven error does not vanish.
 
     Parameters
     ----------
     answer : Answer
     found : Violations
         Its figures: gaps and forces relative to the lengths and forces that meet at the same place.
-    compliance : (m,) array [length / force]
-        `own_compliance` of each contact.
+    compliance : (m,) array [length / force], `own_compliance` of each contact
     bounds : Bounds
         Those of the answer; their `energy_scale` is 0 where the energy is not known.
-    tolerance : float
-        Relative size up to which a gap or a force counts as zero.
+    tolerance : the relative size up to which a gap or a force counts as zero
     """
     vanish = found.force_measure <= tolerance
     if not vanish.any():
@@ -460,6 +458,9 @@ def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, t
     vanish &= ratio(abs(found.gap), found.lengths) <= tolerance
     if bounds.energy_scale > 0:
         vanish &= abs(answer.normal_force) * np.sqrt(compliance) <= tolerance * bounds.energy_scale
+    if bounds.force_bound is not None:
+        presses = answer.normal_force > PROVEN_FORCE * bounds.force_bound
+        vanish &= ~(presses & (found.force_measure > ROUNDING_OF_ANSWERS * tolerance))
     return np.asarray(vanish)
 
 

@@ -133,6 +133,15 @@ def test_grazing_contacts_are_named() -> None:
     assert cq.solve(problem).certificate.grazing == ()
 
 
+def test_a_force_that_is_proven_does_not_graze() -> None:
+    """A stop on a very stiff spring takes 1 of a load of 4e10: it was said to graze beside a bound of 2e-14."""
+    stop = cq.solve(cq.ContactProblem([[1e10]], [4e10 + 1], [[1.0]], [4.0])).certificate
+    assert stop.force_bound is not None
+    assert (stop.grazing, stop.force_bound[0] < 1e-6) == ((), True)
+    # A force of 1e-13 of the load may be its rounding.
+    assert cq.solve(cq.ContactProblem([[1e10]], [4e10 + 2.0**-8], [[1.0]], [4.0])).certificate.grazing == (0,)
+
+
 def test_redundant_contacts_have_a_force_error_and_no_force_bound() -> None:
     problem = truss(normal=[[0.0, -1.0], [0.0, -1.0]], gap=[1e-3, 1e-3], contact_names=None)
     solution = cq.solve(problem)
