@@ -34,6 +34,8 @@ from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
+# The number of roundings of the energy's terms in its bounds.
+FORMED = 8
 # The largest contact forces by rounding of K, in multiples of one sample.
 PUSHED_BY_ROUNDING = 8.0
 # Relative forces K z of rigid motions above which a real resistance is possible.
@@ -85,6 +87,27 @@ def work_that_meets(problem: ContactProblem, answer: Answer) -> float:
     pushing = answer.normal_force != 0  # other gaps may be infinite
     contacts = abs(answer.normal_force[pushing]) @ lengths[pushing]
     return float(abs(problem.load) @ moved + contacts + abs(answer.tie_force) @ tied)
+
+
+def rounded_outward(problem: ContactProblem, answer: Answer, lower: float, upper: float) -> tuple[float, float]:
+    """Return bounds of the least energy, wider by the rounding of the numbers from which they were formed.
+
+    These are a few roundings of the energy's terms. The upper one also includes the energy of the answer as doubles
+    form it, which rounds sums of n products. The verdict takes the bounds before this.
+
+    Parameters
+    ----------
+    problem, answer : what is certified
+    lower, upper : the bounds in doubles [force * length]
+    """
+    moved = abs(answer.displacement)
+    with np.errstate(over="ignore", invalid="ignore"):
+        terms = 0.5 * float(moved @ (problem.stiffness_sizes @ moved)) + float(problem.load_size @ moved)
+        formed = max(problem.energy(answer.displacement), upper)
+    rounding = FORMED * EPS * max(terms, abs(lower), abs(upper))
+    if not np.isfinite([rounding, formed]).all():
+        return lower, upper
+    return float(np.nextafter(lower - rounding, -np.inf)), float(np.nextafter(formed + rounding, np.inf))
 
 
 def imposed_work(problem: ContactProblem, answer: Answer) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contactqp.certificate import messages
-from contactqp.certificate.balance import balance, hides_strain
+from contactqp.certificate.balance import balance, hides_strain, rounded_outward
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
@@ -354,7 +354,7 @@ def _verdict(
         passed=not failures,
         proven=bounds.proven,
         basis=measured.state.basis,
-        energy_bounds=bounds.energy_bounds,
+        energy_bounds=bounds.energy_bounds and rounded_outward(problem, answer, *bounds.energy_bounds),
         determined=bounds.determined,
         distance=measured.state.distance,
         scope=(bounds.scope or GLOBALLY) if bounds.proven else None,

@@ -98,7 +98,7 @@ def contact_data(
         raise InvalidProblem(
             f"from_qp: unknown {sorted(unknown)}; ranges are given as C, l, u, names as dof_names, range_names"
         )
-    load = -read_array("q", given.q).ravel()
+    load = -_finite("q", read_array("q", given.q).ravel())
     n = len(load)
     contacts, ties = [_given("G", given.G, "h", given.h, n)], [_given("A", given.A, "b", given.b, n)]
     names = [f"row {i}" for i in range(contacts[0][0].shape[0])], [f"tie {i}" for i in range(ties[0][0].shape[0])]
@@ -113,6 +113,17 @@ def contact_data(
     return dict(stiffness=given.P, load=load, normal=normal, gap=gap, tie=tie, tie_value=value) | named
 
 
+def _finite(name: str, values: Any) -> Any:
+    """Return an array or sparse matrix, by the name that it has in a program, if its entries are finite numbers."""
+    entries = values.tocoo() if sp.issparse(values) else values
+    wrong = np.flatnonzero(~np.isfinite(entries.data if sp.issparse(values) else entries))
+    if len(wrong):
+        place = [entries.row[wrong[0]], entries.col[wrong[0]]] if sp.issparse(values) else [wrong[0]]
+        value = (entries.data if sp.issparse(values) else entries)[wrong[0]]
+        raise InvalidProblem(f"{name}: expected finite numbers, got {value} at {[int(i) for i in place]}")
+    return values
+
+
 def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int) -> tuple[Any, Vector]:
     """Return rows and their limits, without any row where neither was given."""
     if rows is None and limit is None:
@@ -121,6 +132,9 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
         missing, there = (matrix, vector) if rows is None else (vector, matrix)
         raise InvalidProblem(f"{missing}: expected beside {there}, got None")
     read, values = _matrix(matrix, rows), read_array(vector, limit).ravel()
+    _finite(matrix, read)
+    if np.isnan(values).any():
+        raise InvalidProblem(f"{vector}: expected numbers, got nan at [{int(np.argmax(np.isnan(values)))}]")
     if read.shape[1] != n:
         raise InvalidProblem(f"{matrix}: expected {n} columns, one for each entry of q, got {read.shape[1]}")
     if len(values) != read.shape[0]:

@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.linalg import hilbert
 from scipy.optimize import linprog
 
 import contactqp as cq
@@ -505,3 +506,15 @@ def test_wide_bounds_beside_a_conflict_refuse() -> None:
     """Rows that conflict by rounding leave bounds of the energy beside, which tell a wrong answer all the same."""
     wide = Bounds(energy_bounds=(2586.0, 2897.0), energy_size=2742.0, by_energy=True)
     assert list(energy_failures(_of_conflict(wide, "4.5e-19 of the largest length", near=True), 1e-9, 0.0))
+
+
+def test_bounds_of_the_energy_are_rounded_outward() -> None:
+    """Both ends were one double beneath J* by 7e-17, and the energy of an answer lay outside of its own bounds."""
+    rows = np.round(hilbert(8) * 2**20) / 2**20
+    load = rows @ np.ones(8)
+    solution = cq.solve(cq.ContactProblem.from_qp(np.zeros((8, 8)), load, G=-rows, h=-load))
+    least, found = sum(Fraction(x) for x in load.tolist()), solution.certificate.energy_bounds
+    assert found is not None
+    assert Fraction(found[0]) < least < Fraction(found[1])
+    assert found[0] < solution.energy < found[1]
+    assert found[1] - found[0] < 1e-14 * abs(solution.energy)

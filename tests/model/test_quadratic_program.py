@@ -102,3 +102,18 @@ def test_friction_is_no_quadratic_program() -> None:
     problem = cq.ContactProblem(np.eye(2), [1.0, 1.0], [[0.0, 1.0]], [0.1], tangent=[[1.0, 0.0]], friction=0.3)
     with pytest.raises(cq.Unsupported, match="no quadratic program"):
         problem.to_qp()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"q": [np.inf, 0.0]}, r"q: expected finite numbers, got inf at \[0\]"),
+        ({"G": [[0.0, np.nan]]}, r"G: expected finite numbers, got nan at \[0, 1\]"),
+        ({"h": [np.nan]}, r"h: expected numbers, got nan at \[0\]"),
+    ],
+)
+def test_numbers_of_a_program_are_refused_by_their_names_in_it(changed: dict[str, Any], message: str) -> None:
+    """An infinite q was told of as a load of the other sign, and a row of G as "normal"."""
+    program = {"P": np.eye(2), "q": [1.0, 0.0], "G": [[1.0, 0.0]], "h": [1.0]}
+    with pytest.raises(cq.InvalidProblem, match=message):
+        cq.ContactProblem.from_qp(**(program | changed))
