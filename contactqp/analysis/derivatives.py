@@ -14,7 +14,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.analysis.friction_events import falls
 from contactqp.analysis.gradients import (
     Bounded,
     Estimate,
@@ -35,6 +34,7 @@ from contactqp.analysis.rate_data import (
     errors_of,
 )
 from contactqp.analysis.rates import Linearised
+from contactqp.analysis.slip_law import falls
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one

@@ -19,7 +19,6 @@ differ by an unresisted rigid motion without drive count as one, in which that m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +28,7 @@ from contactqp.analysis.history import JUMPS, SIMULTANEOUS, STEADY, Event
 from contactqp.certificate.certificate import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import answer_in
+from contactqp.linalg.friction_states import SINGULAR, answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.coulomb import (
     OPEN,
@@ -151,7 +150,8 @@ class ExactPath:
             refuse_late("the next event was found")
             standing = self._standing(hit)
             at = f"at t = {time + lasts * fraction:.12g}"
-            status = continuation(self.system, rates, standing, self._problem, at)
+            load = end if fraction == 1 else start + fraction * (end - start)
+            standing, status = self._continued(standing, rates, load, at)
             self.events += self._decided(standing.status, status, fraction)
             rate = self._rate(direction, rates, status)
             self._go_on_in(status)
@@ -164,6 +164,58 @@ class ExactPath:
             if fraction == 1:
                 return
         raise NotConverged(f"follow_path: more than {limit} changes of state in one leg")
+
+    def _continued(self, standing: Standing, rates: Lengths, load: Vector, at: str) -> tuple[Standing, Status]:
+        """Return the combination in which the path continues, and the undecided contacts.
+
+        Forces of redundant contacts are not unique. If those of the path have no continuation, the least ones of the
+        same states take their place; that no others have one is not proven.
+        """
+        try:
+            return standing, continuation(self.system, rates, standing, self._problem, at)
+        except NoEquilibrium as error:
+            least = self._with_least_forces() if self._refined else None
+            if least is None:
+                raise
+            unproven = f"{error}; its forces are not unique, and with others it may go on"
+        problem = self._problem.replace(load=load, slip_origin=self.anchor)
+        size = self._sizes(self._margins(self.answer).value)  # beside which the least forces may be rounding
+        least = answer_in(problem, self._condensation, self.system.rows, self.status, least)
+        if not holds(problem.replace(slip_origin=self._position(least)), least):
+            raise NotConverged(unproven)
+        self.answer = without_idle_friction(self.system, least)
+        try:
+            standing = self._standing(self._margins(self.answer).value <= NOTHING * size)
+            return standing, continuation(self.system, rates, standing, self._problem, at)
+        except NoEquilibrium:
+            raise NotConverged(unproven) from None
+
+    def _with_least_forces(self) -> Answer | None:
+        """Return the answer with the least sum of normal forces among those of its displacement and its states.
+
+        None where its forces are unique, or no least ones are found.
+        """
+        from scipy.optimize import linprog
+
+        system, rows, m, answer = self.system, self.system.rows, self._problem.contacts, self.answer
+        _, values, rotation = np.linalg.svd(system.matrix(self.status))
+        free = rotation[values <= SINGULAR * values[0]].T
+        end = 2 * m + self._problem.ties
+        if not free.shape[1] or np.any(abs(free[end:]) > SINGULAR):
+            return None
+        push, drag = free[:m], free[m : 2 * m]
+        bound, margins = system.coefficient[:, None] * push, self._margins(answer)
+        change, kept = np.array([push, bound - drag, bound + drag]), margins.kept[1:]
+        room = np.maximum(margins.value[1:], 0.0)
+        unit = float(np.max(room[kept], initial=0.0)) or 1.0
+        limits = dict(A_ub=-change[kept], b_ub=room[kept] / unit, bounds=(None, None), method="highs")
+        found = linprog(push.sum(axis=0), **limits)
+        if found.x is None:
+            return None
+        push, drag, tie = (unit * part for part in np.split(free[:end] @ found.x, [m, 2 * m]))
+        friction = self._friction(answer) + drag / rows.tangent_length
+        force = np.maximum(answer.normal_force + push / rows.normal_length, 0.0)
+        return Answer(answer.displacement, force, friction[:, None], answer.tie_force + tie / rows.tie_length)
 
     def _rate(self, direction: ContactProblem, rates: Lengths, status: Status) -> Answer:
         if not self._refined:
@@ -434,66 +486,3 @@ def _named(problem: ContactProblem, contacts: Indices) -> str:
     names = [problem.contact_name(i) for i in contacts.tolist()]
     more = len(names) - NAMES_IN_A_MESSAGE
     return (", ".join(names[:NAMES_IN_A_MESSAGE]) or "no contact") + (f" and {more} more" if more > 0 else "")
-
-
-@dataclass(frozen=True, eq=False)
-class StateMargins:
-    """Quantities that determine contact states, or rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
-
-    gap: Vector
-    push: Vector
-    drag: Array
-    slip: Array
-
-
-def steps_to_events(
-    mu: Vector | None,
-    status: Status,
-    now: StateMargins,
-    rates: StateMargins,
-    edges: Indices,
-    rests: Indices,
-    at_bound: Indices,
-) -> Iterator[float]:
-    """Yield the steps along some rates at which contacts leave their states.
-
-    Parameters
-    ----------
-    mu : (m,) array, or None without friction
-    status : (m,) array of int, the states that the rates are of
-    now, rates : StateMargins, and how they change
-    edges : grazing contacts, whose forces and gaps do not decrease from zero
-    rests : contacts whose slips begin
-    at_bound : contacts whose friction is at its bound, which in the plane it may leave for the other
-    """
-    touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)
-    apart = np.setdiff1d(np.flatnonzero(status == OPEN), edges)
-    yield from falls(now.push[touching], rates.push[touching])
-    yield from falls(now.gap[apart], rates.gap[apart])
-    if mu is None:
-        return
-    slips = np.setdiff1d(np.flatnonzero((abs(status) == 1) & (mu > 0)), rests).astype(int)
-    along = status[slips].astype(float)
-    yield from falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
-    for i in np.setdiff1d(np.flatnonzero(status == STICK), edges):
-        push, drag, push_rate, drag_rate = now.push[i], now.drag[i], rates.push[i], rates.drag[i]
-        if len(drag) > 1:
-            yield from _reaches_bound(mu[i], push, drag, push_rate, drag_rate)
-            continue
-        bounds = np.array([side for side in (1.0, -1.0) if i not in at_bound or side * drag[0] < 0])
-        yield from falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
-
-
-def falls(size: Vector, rate: Vector) -> Iterator[float]:
-    """Yield the steps at which positive sizes reach zero."""
-    yield from (np.maximum(size[rate < 0], 0.0) / -rate[rate < 0]).tolist()
-
-
-def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
-    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
-    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
-    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
-    c = float(drag @ drag) - (mu * push) ** 2
-    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
-    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
-    yield from sorted(real)[:1]

@@ -23,7 +23,6 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from contactqp.analysis.border_states import MOST_COMBINATIONS, Borders
-from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
 from contactqp.analysis.rate_data import (
     REDUNDANT,
     SAME,
@@ -40,6 +39,7 @@ from contactqp.analysis.rate_data import (
 )
 from contactqp.analysis.rate_systems import RateSystem
 from contactqp.analysis.shared_forces import NOTHING, Cones, Group
+from contactqp.analysis.slip_law import StateMargins, falls, steps_to_events
 from contactqp.linalg.nonnegative import CARRIES, DEPENDENT_ROWS, width_within
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
@@ -154,7 +154,7 @@ class FrictionSharing:
         Parameters
         ----------
         rates : rates for one distribution of forces
-        now, edges, rests, at_bound : as in `contactqp.analysis.friction_events.steps_to_events`
+        now, edges, rests, at_bound : as in `contactqp.analysis.slip_law.steps_to_events`
         """
         yield self.reach(rates)
         others = np.setdiff1d(np.arange(self._problem.contacts), self.members)

@@ -35,7 +35,6 @@ from contactqp.analysis.border_states import (
     seen_states,
     sticking_at_bound,
 )  # fmt: skip
-from contactqp.analysis.friction_events import StateMargins, falls, steps_to_events
 from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
@@ -60,6 +59,7 @@ from contactqp.analysis.rate_data import (
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
 from contactqp.analysis.shared_forces import Sharing
+from contactqp.analysis.slip_law import StateMargins, falls, steps_to_events
 from contactqp.certificate import bounds
 from contactqp.certificate.uniqueness import unheld
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported

@@ -6,6 +6,7 @@ t = s/|s| and C = mu l_N / |s| (I - t t'). They are evaluated at an answer in tw
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -282,3 +283,66 @@ class Frictional:
     def unresolved(self) -> list[Parts]:
         """Return a basis of the null space of the system."""
         return [Parts.of(one) for one in self._system.unresolved()]
+
+
+@dataclass(frozen=True, eq=False)
+class StateMargins:
+    """Quantities that determine contact states, or rates: gaps (m,), forces (m,), friction and slips (m, d-1)."""
+
+    gap: Vector
+    push: Vector
+    drag: Array
+    slip: Array
+
+
+def steps_to_events(
+    mu: Vector | None,
+    status: Status,
+    now: StateMargins,
+    rates: StateMargins,
+    edges: Indices,
+    rests: Indices,
+    at_bound: Indices,
+) -> Iterator[float]:
+    """Yield the steps along some rates at which contacts leave their states.
+
+    Parameters
+    ----------
+    mu : (m,) array, or None without friction
+    status : (m,) array of int, the states that the rates are of
+    now, rates : StateMargins, and how they change
+    edges : grazing contacts, whose forces and gaps do not decrease from zero
+    rests : contacts whose slips begin
+    at_bound : contacts whose friction is at its bound, which in the plane it may leave for the other
+    """
+    touching = np.setdiff1d(np.flatnonzero(status != OPEN), edges)
+    apart = np.setdiff1d(np.flatnonzero(status == OPEN), edges)
+    yield from falls(now.push[touching], rates.push[touching])
+    yield from falls(now.gap[apart], rates.gap[apart])
+    if mu is None:
+        return
+    slips = np.setdiff1d(np.flatnonzero((abs(status) == 1) & (mu > 0)), rests).astype(int)
+    along = status[slips].astype(float)
+    yield from falls(along * now.slip[slips, 0], along * rates.slip[slips, 0])
+    for i in np.setdiff1d(np.flatnonzero(status == STICK), edges):
+        push, drag, push_rate, drag_rate = now.push[i], now.drag[i], rates.push[i], rates.drag[i]
+        if len(drag) > 1:
+            yield from _reaches_bound(mu[i], push, drag, push_rate, drag_rate)
+            continue
+        bounds = np.array([side for side in (1.0, -1.0) if i not in at_bound or side * drag[0] < 0])
+        yield from falls(mu[i] * push - bounds * drag[0], mu[i] * push_rate - bounds * drag_rate[0])
+
+
+def falls(size: Vector, rate: Vector) -> Iterator[float]:
+    """Yield the steps at which positive sizes reach zero."""
+    yield from (np.maximum(size[rate < 0], 0.0) / -rate[rate < 0]).tolist()
+
+
+def _reaches_bound(mu: float, push: float, drag: Vector, push_rate: float, drag_rate: Vector) -> Iterator[float]:
+    """Yield the first step x > 0 at which |drag + x drag'| = mu (push + x push')."""
+    a = float(drag_rate @ drag_rate) - (mu * push_rate) ** 2
+    b = 2 * (float(drag @ drag_rate) - mu**2 * push * push_rate)
+    c = float(drag @ drag) - (mu * push) ** 2
+    roots = np.roots([a, b, c]) if a != 0 else np.array([-c / b]) if b != 0 else np.zeros(0)
+    real = [float(root.real) for root in np.atleast_1d(roots) if abs(root.imag) == 0 and root.real > 0]
+    yield from sorted(real)[:1]

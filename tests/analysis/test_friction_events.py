@@ -390,3 +390,23 @@ def test_a_ball_comes_back_to_its_groove(options: dict[str, Any], friction: floa
     assert list(last.contact_status) == ["stick", "stick"]
     assert FORCES in last.certificate.uniqueness
     np.testing.assert_allclose(last.displacement, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("loads", "opened"), [([[3.0, -1.0], [-3.0, 3.0]], 1.4), ([[0.0, -2.0], [-3.0, 1.0]], 4 / 3)])
+def test_a_wedged_node_is_lifted_off_at_the_load_that_pulls_it(loads: list[list[float]], opened: float) -> None:
+    """With mu = 1 the floor and the guide may wedge each other with any force, which holds the node against nothing."""
+    history = cq.follow_path(node_on_a_guide(1.0), loads, events="exact")
+    assert [event.time for event in history.events if event.kind == "opened"] == [pytest.approx(opened)]
+    assert all(solution.certificate.passed for solution in history)
+    pull = (loads[-1][0] - loads[-1][1]) / 4
+    np.testing.assert_allclose(history[-1].displacement, [pull, -pull], rtol=1e-12)
+    assert history[-1].contact_status == ["open"]
+
+
+@pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 7}])
+def test_no_rounded_slip_origin_denies_an_equilibrium(options: dict[str, Any]) -> None:
+    """With mu = 1 a slip origin of +1e-17 has no equilibrium in rational numbers, and one of -1e-17 has."""
+    last = cq.follow_path(node_on_a_guide(1.0), [[1.0, -3.0], [-1.0, 1.0], [2.0, -1.0]], **options)[-1]
+    assert last.certificate.passed
+    assert FORCES in last.certificate.uniqueness
+    assert last.normal_force + last.friction_force[:, 0] == pytest.approx([3.0])
