@@ -208,21 +208,18 @@ def negligible_in(problem: ContactProblem, answer: Any, elastic: Vector, size: V
     return NegligibleSizes(force, lengths(problem.normal, across), tangent, tie, of_contacts)
 
 
-def _beside_lengths(
-    problem: ContactProblem, displacement: Vector, least: Vector, size: Vector, still: Vector | None = None
-) -> Vector:
+def _beside_lengths(problem: ContactProblem, u: Vector, least: Vector, size: Vector, still: Any = None) -> Vector:
     """Return sizes S (n,) limited to 1e3 times the longest of |g|, |b| and |E||u| over |E_i D| in the part.
 
-    Parts without stated lengths are not limited. The limit is at least the strain of displacements `least` (n,), up to
-    1e6 times the longest length. For slips, tangential lengths with slip origins are included, and parts whose stated
-    lengths are all at most `still` (n,), as slip origins that are rounding, are not limited.
+    The limit is at least the strain of displacements `least` (n,), up to 1e6 times the longest length. Parts without
+    stated lengths have none; for slips those whose lengths, with slip origins, are at most `still` (n,).
     """
     part, (longest, here) = parts(problem), _longest_stated(problem, still is not None)
     cut = (longest[part] > (0.0 if still is None else still)) & (size > OF_ALL_LENGTHS * longest[part])
     if not cut.any():
         return size
     for of_row in here:
-        _raise_to(longest, part, of_row, of_row.lengths(abs(displacement)))
+        _raise_to(longest, part, of_row, of_row.lengths(abs(u)))
     rest = np.clip(_strain(problem, part, least), OF_ALL_LENGTHS * longest, OF_NEAR_LENGTHS * longest)
     return np.where(cut, np.minimum(size, rest[part]), size)
 
