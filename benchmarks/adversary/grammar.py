@@ -93,7 +93,7 @@ BODIES: dict[str, Callable[[Generator], Array]] = {
 }  # fmt: skip
 HELD = ("ground", "ground", "ground", "one spring", "ties", "contact")
 CONTACTS = ("nodes", "nodes", "between", "skew", "opposite")
-REPEATS = ("", "", "", "contact", "multiple", "tie", "zero row", "infinite gap")
+REPEATS = ("", "", "", "contact", "multiple", "tie", "nearly", "zero row", "infinite gap")
 LOADS = ("everywhere", "everywhere", "one", "tiny", "huge", "none")
 # Problems without friction that have tangents all the same, as those of a body do.
 SLIPPERY = 0.1
@@ -121,7 +121,8 @@ def _sentence(rng: Generator, law: str, names: list[str], held: str) -> Sentence
     if held == "ties" or rng.random() < 0.25:
         _tie(draft)
     repeats = str(rng.choice(REPEATS))
-    _repeat(draft, repeats)
+    # Bodies that contacts alone hold have rows apart by more: open, benchmarks/README.md.
+    _repeat(draft, repeats, 16 if held == "contact" else 28)
     around = held in ("contact", "ties") or rng.random() < 0.5
     loading = "around an answer" if around else str(rng.choice(LOADS))
     (_around_an_answer if around else _load)(draft, loading)
@@ -194,7 +195,8 @@ def _tie(draft: Draft) -> None:
     draft.tie = rows
 
 
-def _repeat(draft: Draft, repeats: str) -> None:
+def _repeat(draft: Draft, repeats: str, nearest: int) -> None:
+    """Append a row like another one; nearly parallel ones are apart by 2^-8 to 2^-nearest."""
     rng, m = draft.rng, len(draft.normal)
     twin = int(rng.integers(0, m))
     if repeats in ("contact", "multiple"):
@@ -202,6 +204,10 @@ def _repeat(draft: Draft, repeats: str) -> None:
         _append(draft, factor * draft.normal[twin], twin, factor)
     elif repeats == "tie" and draft.tie is not None:
         draft.tie = np.vstack([draft.tie, float(rng.choice([1.0, -1.0, 2.0])) * draft.tie[0]])
+    elif repeats == "nearly":
+        row = draft.normal[twin].copy()
+        row[int(rng.integers(0, len(row)))] += 2.0 ** -int(rng.integers(8, nearest + 1))
+        _append(draft, row, twin, 1.0)
     elif repeats in ("zero row", "infinite gap"):
         factor = 0.0 if repeats == "zero row" else 1.0
         _append(draft, factor * draft.normal[twin], twin, factor)

@@ -160,6 +160,7 @@ def judge_units(judge: Judge, first: tuple[Any, Any]) -> None:
         here, there = first[0].displacement, other[0].displacement / length
         stiff = plain.diagonal > 0  # what loads would move, too: a displacement of zero has the rounding of that
         size = max(np.max(abs(here)), np.max(abs(plain.load)[stiff] / plain.diagonal[stiff], initial=0.0))
+        size = max(size, np.max(abs(plain.gap), initial=0.0, where=np.isfinite(plain.gap)))  # as a free motion has
         worst = float(np.max(abs(there - here)) / size) if size > 0 else 0.0
         forces = first[0].normal_force, other[0].normal_force / force
         if np.any(forces[0]) and not any("redundant" in reason for reason in first[0].certificate.reasons):
@@ -245,6 +246,7 @@ def _forge(judge: Judge, truth: Truth, threshold: float, posed: bool) -> None:
         _judge_noisy(judge, u, force, tie)
     wrong = [(name, *parts, tie) for name, *parts in against_the_law(judge.posed.plain, u, force)]
     wrong += [(name, u, *parts) for name, *parts in forces_added(judge.posed.plain, u, force, tie)]
+    wrong += [(name, u, *parts) for name, *parts in shared_otherwise(judge.posed.plain, u, force, tie)]
     for name, wrong_u, pushed, tied in wrong:
         certificate = judge.certify(f"certify {name}", wrong_u, pushed, None, tied)
         if certificate is not None and certificate.passed:
@@ -360,6 +362,44 @@ def forces_added(problem: cq.ContactProblem, u: Array, force: Array, tie: Array)
     if acts and np.min(np.linalg.svd(held, compute_uv=False), initial=1.0) > 1e-3 and len(held) <= held.shape[1]:
         for at in np.flatnonzero(of_tie > 0)[-1:]:
             yield "a tie force off by 0.001", force, tie + np.eye(len(tie))[at] * 1e-3 * largest / of_tie[at]
+
+
+def shared_otherwise(
+    problem: cq.ContactProblem, u: Array, force: Array, tie: Array
+) -> Iterator[tuple[str, Array, Array]]:
+    """Forces that nearly parallel rows of closed contacts and ties share otherwise, by 0.001 of the largest and more.
+
+    What is out of balance is half of the tolerance. Rows are independent up to a condition of 1e9, and so are those of
+    contacts that graze, so that forces are unique; these are compared where all unknowns that they act on are stiff, or
+    none is.
+    """
+    pushing = np.flatnonzero(force > 0)
+    rows = np.vstack([problem.normal.toarray()[pushing], problem.tie.toarray()])
+    stiff, sizes = problem.diagonal > 0, np.linalg.norm(rows, axis=1)
+    touched = np.any(rows, axis=0)
+    if not 2 <= len(rows) <= rows.shape[1] or not np.all(sizes) or len(set(stiff[touched])) > 1:
+        return
+    shares, apart, _ = np.linalg.svd(rows / sizes[:, None])
+    touching = problem.normal.toarray()[problem.gap - problem.normal @ u == 0]
+    met = np.vstack([touching[np.any(touching, axis=1)], problem.tie.toarray()])
+    if apart[-1] <= 1e-9 * apart[0] or np.linalg.matrix_rank(met) < len(met):
+        return
+    unit = sizes
+    if np.all(stiff[touched]):
+        unit = np.linalg.norm(rows / np.sqrt(np.where(stiff, problem.diagonal, 1.0)), axis=1)
+    change = shares[:, -1] / sizes
+    meeting = forces_that_meet(problem, u, force, None) + abs(problem.tie.T) @ abs(tie)
+    unbalanced = np.max(abs(rows.T @ change)[touched] / meeting[touched], initial=0.0, where=meeting[touched] > 0)
+    room = np.divide(force[pushing], abs(change[: len(pushing)]), out=np.full(len(pushing), np.inf),
+                     where=change[: len(pushing)] != 0)  # fmt: skip
+    if not unbalanced > 0:
+        return
+    change = change * min(5e-10 / unbalanced, 0.5 * float(np.min(room, initial=np.inf)))
+    held = np.concatenate([force[pushing], tie])
+    if np.max(abs(change) * unit) > 1e-3 * np.max(abs(held) * unit):
+        pushed = force.copy()
+        pushed[pushing] += change[: len(pushing)]
+        yield "forces shared otherwise", pushed, tie + change[len(pushing) :]
 
 
 def pushed_apart(problem: cq.ContactProblem, u: Array, force: Array) -> Array | None:

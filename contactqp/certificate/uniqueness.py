@@ -242,9 +242,8 @@ def other_forces(problem: ContactProblem, pressing: Mask, grazing: Mask) -> tupl
     if not rows.nnz or rows.shape[0] > MOST_SHARING:
         return None, False
     moved = np.unique(rows.indices)
-    scaled = rows[:, moved].multiply(unknown_scale(problem)[moved]).tocsr()
-    largest = abs(scaled).max(axis=1).toarray().ravel()
-    unit = scaled.multiply(1 / np.where(largest > 0, largest, 1.0)[:, None]).tocsr()
+    unit = _with_largest_of_one(rows[:, moved])  # in any units of rows and unknowns
+    unit = _with_largest_of_one(_with_largest_of_one(unit.T).T)
     touches = np.zeros(rows.shape[0], dtype=bool)
     touches[pressing.sum() : pressing.sum() + grazing.sum()] = True
     held = unit[~touches].toarray()
@@ -257,6 +256,11 @@ def other_forces(problem: ContactProblem, pressing: Mask, grazing: Mask) -> tupl
     found = highs(-touches.astype(float), **given_rows("eq", unit.T, np.zeros(unit.shape[1])), bounds=bounds)
     gains = found is not None and -found.fun > GAINS
     return True if several or gains else None if found is None else False, gains
+
+
+def _with_largest_of_one(rows: Any) -> Any:
+    largest = abs(rows).max(axis=1).toarray().ravel()
+    return sp.csr_array(rows.multiply(1 / np.where(largest > 0, np.maximum(largest, TINY), 1.0)[:, None]))
 
 
 def _never_dependent(problem: ContactProblem, condensation: Condensation) -> bool:

@@ -308,3 +308,12 @@ def test_a_contact_that_grazes_may_press_beside_others_that_already_do() -> None
     idle = cq.certify(problem.replace(load=np.zeros(2)), np.zeros(2), np.zeros(3))
     assert idle.passed
     assert not any("unique" in note for note in idle.notes)
+
+
+def test_whether_forces_are_unique_is_told_in_any_units_of_rows() -> None:
+    """Rows of 1e195 and 1e-201 made a matrix beyond the range of doubles; a right answer was refused for it."""
+    rows = [[9e195, 0.0], [3e-173, 0.0], [0.0, 1.6e-201]]
+    problem = cq.ContactProblem(np.diag([7.0, 0.0]), [0.0, 1.8e-07], rows, [0.0, 0.0, -1e-201])
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    assert solution.normal_force[2] == pytest.approx(1.8e-7 / 1.6e-201)
