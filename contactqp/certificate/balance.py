@@ -25,7 +25,7 @@ from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
-from contactqp.linalg.floating import that_move
+from contactqp.linalg.floating import as_stated, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, row_sizes, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
@@ -38,8 +38,18 @@ from contactqp.model.solution import Answer
 FORMED = 8
 # The largest contact forces by rounding of K, in multiples of one sample.
 PUSHED_BY_ROUNDING = 8.0
+# The same if the sample itself may be a real resistance, so that only two readings of K differ.
+PUSHED_BY_RESISTANCE = 2.0
 # Relative forces K z of rigid motions above which a real resistance is possible.
 RESISTED = 1e-9
+# Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
+STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
+# The message where that resistance matters; the forces it makes are a part of all forces along the motions.
+UNTOLD_RESISTANCE = (
+    "the stiffness resists motions of the bodies by no more than the rounding of its entries, and whether it is "
+    "rounding decides {:.2g} of the forces: state the motions as near_null_space if bodies float, or an array of "
+    "shape (n, 0) if none does, and the stiffness is taken as it stands"
+)
 # Resultants below this part of the forces are zero in double precision, and the worst motion is not searched.
 NO_RESULTANT = 1e-14
 # If forces by rounding of K exceed this part of all forces along a motion, its balance cannot be judged.
@@ -119,7 +129,7 @@ def imposed_work(problem: ContactProblem, answer: Answer) -> float:
 
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
     """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
-    forces = _forces_of_rigid_part(problem, condensation, displacement)
+    forces = resisting_forces(problem, condensation, displacement)
     elastic, missing = response(problem, condensation, extend(forces), tied=False)
     return sum(energy_norm(problem, elastic)) + missing
 
@@ -208,9 +218,8 @@ def shared_by_rounding(
     """Return bounds (m,) of the contact forces by rounding of K along rigid motions, their energy norm, and their
     validity.
 
-    On the closed contacts they balance K z of the rigid part z of a displacement. They are zero if K was cleared of
-    them for stated motions, which are exact. Beyond `RESISTED` the motions may have a real resistance, and the bounds
-    are not certain; if they are rigid, these forces have no resultant and do not affect statically determined forces.
+    On the closed contacts they balance K z of the rigid part z of a displacement. Stated motions are exact and make
+    none if K was cleared of them. Beyond `RESISTED` other motions may have a real resistance, and nothing is proven.
 
     Parameters
     ----------
@@ -221,24 +230,33 @@ def shared_by_rounding(
     cleared : the part of all forces that K was cleared of
     push : (m,) array, the contact forces; without them and without a load nothing has forces
     """
-    if cleared and problem.near_null_space is not None:
+    forces = resisting_forces(problem, condensation, displacement, cleared)
+    if not forces.any():
         return np.zeros(problem.contacts), 0.0, True
-    forces, motions = _forces_of_rigid_part(problem, condensation, displacement), condensation.rigid.motions
     unsure = cleared > RESISTED and bool(problem.load.any() or push.any())
-    if unsure:
-        spread = problem.diagonal[:, None] * motions
-        forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
     pushed, closed = np.zeros(problem.contacts), saddle.closed
     _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
-    pushed[closed] = PUSHED_BY_ROUNDING * share
+    pushed[closed] = (PUSHED_BY_RESISTANCE if unsure else PUSHED_BY_ROUNDING) * share
     return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True)), not unsure
 
 
-def _forces_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> Vector:
-    """Return K z (n,) of the rigid part z of a displacement, which is due to rounding of K."""
+def resisting_forces(
+    problem: ContactProblem, condensation: Condensation, displacement: Vector, cleared: float = 0.0
+) -> Vector:
+    """Return K z (n,) of the rigid part z of a displacement, due to rounding of K if no resistance is hidden in it.
+
+    Parameters
+    ----------
+    problem, condensation : ContactProblem, and its Condensation
+    displacement : (n,) array [length]
+    cleared : the part of all forces that K was cleared of, after which motions that are stated make none
+    """
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
-    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T])
-    return np.asarray(forces @ condensation.rigid.coordinates(displacement, problem.diagonal))
+    of = ~as_stated(problem, motions)[1] if cleared else np.ones(motions.shape[1], dtype=bool)
+    if not of.any():
+        return np.zeros(problem.dimension)
+    forces = np.column_stack([(K @ extend(z)).double() for z in motions.T[of]])
+    return np.asarray(forces @ condensation.rigid.coordinates(displacement, problem.diagonal)[of])
 
 
 def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, negligible: Vector | None = None) -> float:

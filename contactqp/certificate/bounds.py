@@ -62,7 +62,15 @@ from contactqp.certificate.admissible_pair import (
     searched_set,
     without_tension,
 )
-from contactqp.certificate.balance import free_distance, nearest_to, shared_by_rounding, strain_of, strain_of_rigid_part
+from contactqp.certificate.balance import (
+    STATE_MOTIONS,
+    UNTOLD_RESISTANCE,
+    free_distance,
+    nearest_to,
+    shared_by_rounding,
+    strain_of,
+    strain_of_rigid_part,
+)
 from contactqp.certificate.figures import (
     CONTRACTION,
     FEW_DIGITS,
@@ -94,8 +102,6 @@ NEXT_TO_NOTHING = 1e-12
 STRAINED_BY_ROUNDING = 16.0
 # The reason why forces of single contacts have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant, and the force of each one of them has no bound"
-# Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
-STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 # The most condensed unknowns for the dense systems of the bounds.
 LARGEST = 8000
@@ -143,6 +149,10 @@ class Bounds:
     def proven(self) -> bool:
         """Return whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated
+
+    def leaves_untold(self, tolerance: float) -> bool:
+        """Return whether it matters that real resistance may be hidden in the rounding of K along rigid motions."""
+        return self.estimated and self.cleared > tolerance
 
     @cached_property
     def basis(self) -> str:
@@ -290,8 +300,7 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
     length = on_set.lengths
-    excess = np.maximum(-on_set.gaps, 0.0)
-    excess[excess <= ZERO_GAP * length] = 0.0
+    excess = np.where(-on_set.gaps > ZERO_GAP * length, -on_set.gaps, 0.0)
     undecided, saddle = 0.0, on_set.saddle
     touching = (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
     if not np.array_equal(touching, saddle.closed):
@@ -444,6 +453,8 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
     """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are zero."""
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
+    if untold := bounds.leaves_untold(tolerance):
+        yield f"unproven: {UNTOLD_RESISTANCE.format(bounds.cleared)}"
     # Absolute errors, where the true size vanishes, are compared with the answer's energy or, without strain, with the
     # strain by rounding; sizes negligible beside all others count as zero, unless the contact forces are smaller.
     beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
@@ -460,7 +471,7 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
         value = getattr(bounds, name)
         if name == "energy_error" and bounds.by_energy:
             value = bounds.apart  # `energy_failures` judges the energy itself
-        if value is None:
+        if value is None or (untold and name == "force_error"):
             continue
         if scale > none:
             kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
@@ -473,19 +484,8 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
     missed, largest = bounds.ties
     if missed > max(tolerance * largest, bounds.rounding, nothing):
-        part = missed / (largest or missed)
-        yield f"force_error: the force of a tie may be off by {part:.3g} of the largest (tolerance {tolerance:.3g})"
-
-
-def energy_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
-    """Yield a message if the energy bounds fail, where a problem determines only that; `nothing` [energy] is none."""
-    if bounds.energy_bounds is None or not bounds.by_energy:
-        return
-    lower, upper = bounds.energy_bounds
-    none = nothing if bounds.energy_size <= nothing else 0.0  # forces on soft unknowns may make it large
-    if not upper - lower <= max(tolerance * bounds.energy_size, none, bounds.energy_rounding):
-        part = (upper - lower) / bounds.energy_size if bounds.energy_size > 0 else float("inf")
-        yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
+        size = missed / (largest or missed)
+        yield f"force_error: the force of a tie may be off by {size:.3g} of the largest (tolerance {tolerance:.3g})"
 
 
 def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
@@ -493,7 +493,7 @@ def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
 
     Errors up to `nothing` [sqrt(energy)] count as zero on floating bodies, as loads may be far larger than the forces.
     """
-    relative = bounds.relative_force_bound
+    relative = None if bounds.leaves_untold(tolerance) else bounds.relative_force_bound
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0
     if bounds.largest_force > 0:
         beneath = max(bounds.rounding, nothing) / bounds.largest_force

@@ -15,7 +15,6 @@ from contactqp.certificate.balance import balance, hides_strain, rounded_outward
 from contactqp.certificate.bounds import (
     FRICTION_HAS_NONE,
     Bounds,
-    energy_failures,
     error_bounds,
     error_failures,
     force_bound_fails,
@@ -262,7 +261,7 @@ def _measure(
         errors=(
             *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
             *error_failures(bounds, error_tolerance, nothing),
-            *energy_failures(bounds, tolerance, nothing * nothing),
+            *(messages.energy_failures(bounds, tolerance, nothing * nothing) if bounds.by_energy else ()),
             *(messages.of_missed_ties(problem, answer, dependent, tolerance) if dependent else ()),
         ),
         force_bound_fails=off,

@@ -325,6 +325,17 @@ def of_estimates(bounds: Bounds) -> Iterator[str]:
         yield "friction: equilibria nearby may differ by rigid motions that nothing resists, not in strain or forces"
 
 
+def energy_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:
+    """Yield a message if the energy bounds fail, where a problem determines only that; `nothing` [energy] is none."""
+    if bounds.energy_bounds is None or not bounds.by_energy:
+        return
+    lower, upper = bounds.energy_bounds
+    none = nothing if bounds.energy_size <= nothing else 0.0  # forces on soft unknowns may make it large
+    if not upper - lower <= max(tolerance * bounds.energy_size, none, bounds.energy_rounding):
+        part = (upper - lower) / bounds.energy_size if bounds.energy_size > 0 else float("inf")
+        yield f"energy: it may be {part:.3g} of its larger term above the least (tolerance {tolerance:g})"
+
+
 def of_distances(problem: Named, worst: int, relative: dict[str, float], tolerance: float) -> tuple[str, ...]:
     """Return the message on too large distances of a frictional answer from that of its own states.
 

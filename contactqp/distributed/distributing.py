@@ -143,11 +143,12 @@ def rows_of_problem(problem: ContactProblem) -> ProblemRows:
     """Return all rows of a problem, copying names only."""
     n, m = problem.dimension, problem.contacts
     near, E_T, origin = problem.near_null_space, problem.tangent, problem.slip_origin
+    hinted = near is not None and near.shape[1] > 0
     return ProblemRows(
         stiffness=problem.stiffness_rows,
         load=problem.load,
         body=bodies(problem).astype(np.int64),
-        motions=_null_space(problem) if near is None else near,
+        motions=_null_space(problem) if near is None or not hinted else near,
         dof_names=_names(problem.dof_names, n),
         normal=sp.csr_matrix(problem.normal),
         gap=problem.gap,
@@ -158,7 +159,7 @@ def rows_of_problem(problem: ContactProblem) -> ProblemRows:
         tie=sp.csr_matrix(problem.tie),
         tie_value=problem.tie_value,
         tie_names=_names(problem.tie_names, problem.ties),
-        from_near_null_space=near is not None,
+        from_near_null_space=hinted,
         units=problem.units,
     )
 

@@ -174,9 +174,13 @@ class Condensation:
         return scale
 
     def _may_be_singular(self, problem: ContactProblem) -> bool:
-        """Return whether a pivot is so small that K may be singular, given the digits lost in condensation."""
-        interior = self._elimination.smallest_pivot
-        if interior < SUSPICIOUS_PIVOT:
+        """Return whether a pivot is so small that K may be singular, given the digits lost in condensation, or False
+        if no body is stated to float.
+        """
+        if problem.near_null_space is not None and not problem.near_null_space.shape[1]:
+            self._schur_smallest_pivot(problem)  # which refuses an indefinite stiffness
+            return False
+        if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             return True
         return self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, self.lost_digits)
 
@@ -344,11 +348,7 @@ class Condensation:
     def cleared_rows(self, problem: ContactProblem) -> ExtendedRows:
         """Return rows whose stiffness is exactly zero along rigid motions."""
         if self._cleared is None:
-            weight, motions = np.sqrt(self._diagonal), self.rigid.motions
-            if problem.near_null_space is not None:
-                motions = as_stated(
-                    motions, problem.near_null_space, connected_parts(self._sparse)[1].astype(np.intp), weight
-                )
+            weight, (motions, _) = np.sqrt(self._diagonal), as_stated(problem, self.rigid.motions)
             inverse = np.asarray(np.linalg.pinv(weight[:, None] * motions) * weight, dtype=float)
             self._cleared = extended_rows(problem).cleared(motions, inverse)
         return self._cleared

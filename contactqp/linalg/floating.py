@@ -27,7 +27,7 @@ from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, RigidMotions, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.krylov import ConstrainedRows, Processes
 from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
@@ -312,27 +312,32 @@ def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions
     return float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
 
 
-def as_stated(motions: Array, stated: Array, body: Indices, weight: Vector) -> Array:
-    """Return for each body the stated motions if they span its rigid ones, else these, to avoid rounded combinations.
+def as_stated(problem: ContactProblem, motions: Array) -> tuple[Array, Mask]:
+    """Return rigid motions as `near_null_space` states them, body by body where it spans them, and which it spans.
+
+    These are exact, without rounded combinations; the motions of other bodies are returned as they were recognised.
 
     Parameters
     ----------
+    problem : ContactProblem, whose stated motions are compared with rigid ones in the scale of its stiffness
     motions : (n, r) array, rigid motions, each of one body
-    stated : (n, q) array, `near_null_space`
-    body : (n,) array of int, the body of each unknown
-    weight : (n,) array, in whose scale motions are compared
     """
+    spanned = np.zeros(motions.shape[1], dtype=bool)
+    if problem.near_null_space is None or not spanned.size:
+        return motions, spanned
+    body, weight = connected_parts(problem.stiffness_rows)[1], np.sqrt(problem.diagonal)
     owner, found = body[np.argmax(weight[:, None] * abs(motions), axis=0)], []
     for number in np.unique(owner):
-        own = np.where((body == number)[:, None], stated, 0.0)
+        own = np.where((body == number)[:, None], problem.near_null_space, 0.0)
         own, rigid = own[:, own.any(axis=0)], motions[:, owner == number]
         unit = weight[:, None] * own
         unit, basis = unit / np.linalg.norm(unit, axis=0), np.linalg.qr(weight[:, None] * rigid)[0]
         within = np.linalg.norm(unit - basis @ (basis.T @ unit), axis=0) <= UNRESISTED
         values = np.linalg.svd(unit[:, within], compute_uv=False)
         spans = len(values) == rigid.shape[1] == np.count_nonzero(within) and values[-1] > UNRESISTED
+        spanned[owner == number] = spans
         found.append(own[:, within] if spans else rigid)
-    return np.hstack(found) if found else motions
+    return np.hstack(found), spanned
 
 
 def _orthonormal_by_body(motions: Array) -> Array:

@@ -259,6 +259,7 @@ class RefinedState(AnswerOf[Extended, Extended]):
     last: Correction
     regular: bool  # whether all systems were regular
     redundant: bool  # whether forces of dependent contacts or ties were kept
+    cleared: float = 0.0  # relative forces by rounding of K along rigid motions, if K was cleared of it
 
     def answer(self, width: int) -> Answer:
         """Return the answer in double precision, friction forces as (m, width)."""
@@ -307,12 +308,13 @@ def refined_in(
     caution = np.inf if independent else CAUTION
     if not cleared:
         found = refined_by(system, problem, rows, status, start, left=left, caution=caution)
-        if cleared is False or not condensation.rigid.count:
+        if cleared is False or not (rigid := condensation.rigid).count:
             return found
         answer = without_noise(problem, condensation.unknown_scale, rows, found.answer(rows.width), start)
-        if max(judge(problem, answer, condensation.rigid) for judge in (imbalance, made_of_motions)) <= BALANCED:
+        if (missed := max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid))) <= BALANCED:
             return found
-    return refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
+    found = refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
+    return found if cleared else replace(found, cleared=missed)
 
 
 def refined_by(

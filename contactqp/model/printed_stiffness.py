@@ -94,7 +94,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
     ----------
     stiffness : CSR matrix
     stated : (n, q) array, optional
-        Motions that may be rigid; without them they are recognised where K has few digits.
+        Motions that may be rigid, none if q = 0; without them they are recognised where K has few digits.
     """
     roundings = []
     exact = stated is None and _whole(stiffness.data)
@@ -102,7 +102,7 @@ def clear_of_printing(stiffness: Any, stated: Array | None) -> Cleared | None:
         roundings.append(digits)
     if stated is not None and _noisy(stiffness, stated):
         roundings.append(COARSEST * abs(stiffness))
-    if not roundings or (stated is None and stiffness.shape[0] > RECOGNISED_UP_TO):
+    if not roundings or (stiffness.shape[0] > RECOGNISED_UP_TO if stated is None else not stated.shape[1]):
         return None
     root = np.sqrt(np.where(stiffness.diagonal() > 0, stiffness.diagonal(), 1.0))
     scale: Array = np.exp2(-np.round(np.log2(root)))  # scaling by powers of two does not round

@@ -487,7 +487,7 @@ def read_motions(value: ArrayLike | None, n: int) -> Array | None:
     if value is None:
         return None
     motions = read_array("near_null_space", value)
-    if motions.ndim != 2 or motions.shape[0] != n or not motions.shape[1]:
+    if motions.ndim != 2 or motions.shape[0] != n:
         raise InvalidProblem(f"near_null_space: expected shape ({n}, q), one motion a column, got {motions.shape}")
     _finite("near_null_space", motions)
     return read_only(motions)

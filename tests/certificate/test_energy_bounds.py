@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 
 import contactqp as cq
 from benchmarks.judging import exact_truth
-from contactqp.certificate.bounds import REDUNDANT, Bounds, energy_failures, error_failures
+from contactqp.certificate.bounds import REDUNDANT, Bounds, error_failures
 from contactqp.certificate.energy_bounds import (
     CAUTION,
     NOT_APART,
@@ -24,6 +24,7 @@ from contactqp.certificate.energy_bounds import (
     energy_bounds,
     unique_on,
 )
+from contactqp.certificate.messages import energy_failures
 from contactqp.linalg.convexity import diagonal_dominance
 from contactqp.linalg.equilibration import REACH, equilibrated, reach
 from contactqp.linalg.extended import ExtendedAnswer
