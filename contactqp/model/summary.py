@@ -26,6 +26,8 @@ MOST_INSTANTS = 12
 FEW_EVENTS, MOST_EVENTS = 8, 16
 # Gaps, slips and forces below this part of the terms of their sums are rounding errors of zero.
 ROUNDING_OF_ZERO = 1e-14
+# A force that is so many times its proven bound is there, whatever K u has lost beside it.
+FAR_ABOVE = 10.0
 # Forces below this part of the largest of a history are rounding errors of zero.
 ROUNDING_OF_FORCES = 1e-12
 # The length of a line of text, and a space at which lines are not broken.
@@ -239,18 +241,24 @@ def without_rounding(solution: Any) -> Contacts:
     """Return the forces, gaps and slips of a solution, with zeros in place of rounding errors.
 
     A gap g - E_N u is measured by |g| + |E_N||u|, a slip E_T u - slip_origin likewise, and a force by
-    |E_i|(|K||u| + |f| + |E_N|'|l_N|) / |E_i|^2: the forces that meet at the unknowns which the contact touches.
+    |E_i|(|K||u| + |f| + |E_N|'|l_N|) / |E_i|^2: the forces that meet at the unknowns which the contact touches. A
+    normal force far above its proven bound is measured without |K||u|.
     """
     problem, u = solution.problem, abs(solution.displacement)
-    meeting = problem.stiffness_sizes @ u + abs(problem.load) + abs(problem.normal).T @ abs(solution.normal_force)
+    outer = abs(problem.load) + abs(problem.normal).T @ abs(solution.normal_force)
+    meeting = problem.stiffness_sizes @ u + outer
     gap = np.where(np.isfinite(problem.gap), abs(problem.gap), 0.0) + abs(problem.normal) @ u
     friction, slip = solution.friction_force, solution.slip
     if friction is not None and problem.tangent is not None:
         friction = _nothing_below(_meeting_on(problem.tangent, meeting).reshape(friction.shape), friction)
     if slip is not None and problem.tangent is not None:
         slip = _nothing_below(abs(problem.slip_origin) + (abs(problem.tangent) @ u).reshape(slip.shape), slip)
+    force, bound = solution.normal_force, solution.certificate.force_bound
+    sizes = _meeting_on(problem.normal, meeting)
+    if bound is not None:
+        sizes = np.where(abs(force) > FAR_ABOVE * bound, _meeting_on(problem.normal, outer), sizes)
     return Contacts(
-        _nothing_below(_meeting_on(problem.normal, meeting), solution.normal_force),
+        _nothing_below(sizes, force),
         friction,
         _nothing_below(gap, solution.gap),
         slip,

@@ -374,3 +374,12 @@ def test_no_line_ends_between_a_number_and_its_unit() -> None:
     assert len(first) <= 80
     assert second.startswith("  energy -2 N mm; ")
     assert wrapped("word " * 14 + "123.456 mm (0.5 of the lengths)")[1].strip().startswith("123.456 mm")
+
+
+def test_a_proven_force_beside_a_stiff_spring_is_not_printed_as_zero() -> None:
+    """Two nodes on a spring of 1e14 are pressed on a stop with 0.5; the terms of K u are of 1e14."""
+    k = 1e14
+    stop = cq.ContactProblem([[k + 1, -k], [-k, k]], [0, 1.5], [[0, 1.0]], [1.0])
+    solution = cq.solve(stop)
+    assert solution.certificate.proven
+    assert "closed    0.5" in str(solution)
