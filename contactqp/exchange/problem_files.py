@@ -10,6 +10,8 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
+import re
+from collections.abc import Collection
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -34,6 +36,7 @@ QPS, MATLAB = (".qps", ".mps"), (".mat",)
 PARTS = ("P", "q", "G", "h", "A", "b", "lb", "ub")
 # Bounds of at least this size mean "unbounded" in the .mat files of qpbenchmark and in HiGHS.
 INFINITE = 1e20
+GZIP = b"\x1f\x8b"
 
 
 def is_quadratic_program(path: Path) -> bool:
@@ -98,13 +101,255 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
     """Read a program with HiGHS; the signs of one that is to be maximised are reversed."""
     if importlib.util.find_spec("highspy") is None:
         raise BackendMissing(f"{path}: .qps and .mps files are read by HiGHS: pip install highspy")
-    refuse_utf_16(path, read_bytes(path, EXPECTED, HEAD))
+    head = read_bytes(path, EXPECTED, HEAD)
+    refuse_utf_16(path, head)
+    if head.startswith(GZIP):
+        raise wrong(path, "content", "text", "a file compressed by gzip: unpack it by gunzip")
+    refuse_malformed(path)
     found = _matrices(path, read_in_own_process(path, "qps", "a quadratic program in QPS form"))
     parts = {name: found[name] for name in ("C", "l", "u", "lb", "ub")}
-    parts["dof_names"] = _names(found["names"], len(found["q"]))
+    names = parts["dof_names"] = _names(found["names"], len(found["q"]))
     parts["range_names"] = _names(found["row_names"], found["C"].shape[0])
-    problem = ContactProblem.from_qp(found["P"], found["q"], **parts)
+    for j in np.flatnonzero(parts["lb"] > parts["ub"])[:1].tolist():
+        sides = f"{parts['lb'][j]:g} above {parts['ub'][j]:g} (without a lower bound it is 0)"
+        raise wrong(path, f"bounds of {names[j] if names else j}", "a lower one at most the upper one", sides)
+    try:
+        problem = ContactProblem.from_qp(found["P"], found["q"], **parts)
+    except InvalidProblem as error:
+        raise InvalidProblem(f"{path}: {_with_names(str(error), names)}") from None
     return problem, _ledger_of_program(path, problem, "QPS", float(found["offset"]))
+
+
+# Sections of a file in QPS form, those with quadratic terms, those with numbers, and bounds that have none.
+SECTIONS = frozenset(
+    b"NAME ROWS COLUMNS RHS RANGES BOUNDS QUADOBJ QMATRIX QSECTION QCMATRIX CSECTION OBJSENSE SOS SETS INDICATORS "
+    b"DELAYEDROWS MODELCUTS USERCUTS LAZYCONS ENDATA".split()
+)
+QUADRATIC = frozenset(b"QUADOBJ QMATRIX QSECTION QCMATRIX".split())
+OF_NUMBERS = frozenset(b"COLUMNS RHS RANGES BOUNDS".split()) | QUADRATIC
+WITHOUT_NUMBER = frozenset(b"FR MI PL BV".split())
+NUMBER = re.compile(rb"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf(inity)?|nan)", re.IGNORECASE)
+LIKE_A_NUMBER = re.compile(rb"[+-]?\.?\d")
+# Where fields begin and end in the fixed form, whose names may have spaces.
+FIELDS = ((1, 3), (4, 12), (14, 22), (24, 36), (39, 47), (49, 61))
+GAPS = ((0, 1), (3, 4), (12, 14), (22, 24), (36, 39), (47, 49), (61, None))
+# The sides that each kind of bound sets, of which HiGHS keeps the first in a free and the last in a fixed form.
+L, U = ("lower",), ("upper",)
+SIDES = {b"LO": L, b"LI": L, b"MI": L, b"UP": U, b"UI": U, b"PL": U, b"FX": L + U, b"FR": L + U}
+AGAIN = "another one, and HiGHS keeps one or adds both: take one away"
+
+
+def refuse_malformed(path: Path) -> None:
+    """Refuse a file in QPS form that HiGHS would read otherwise than it is written.
+
+    HiGHS reads numbers as far as C's atof does: nothing of "abc" is 0, "1,5" is 1, and "2D3" is 2. It leaves out
+    entries of unknown rows, repeated ones and third pairs in a line, adds up repeated quadratic terms, and makes an
+    unknown of each new name. As names may have spaces in them, the first of two numbers in a line is examined only if
+    it begins like one, and names only where words or fixed fields can be told apart.
+
+    Raises InvalidProblem, which names the line.
+    """
+    entries = Entries()
+    with open(path, "rb") as lines:
+        for place, line in enumerate(lines, 1):
+            words = line.split()
+            if not words or words[0].startswith(b"*"):
+                continue
+            first, entries.place = words[0].upper(), place
+            try:
+                if first in SECTIONS and (len(words) == 1 or (line[:1].strip() and first != entries.section)):
+                    entries.begin(first, words[1:])
+                elif b"'MARKER'" not in words:
+                    bounds = entries.section == b"BOUNDS"
+                    if entries.section in OF_NUMBERS and not (bounds and first in WITHOUT_NUMBER):
+                        _refuse_no_numbers(words)
+                    entries.add(line, words)
+            except _Malformed as error:
+                raise wrong(path, f"line {place}", *error.args) from None
+            if entries.section == b"ENDATA":
+                break
+    for name, place in entries.made.items():
+        raise wrong(path, f"line {place}", "a column of COLUMNS, or with a quadratic term of its own", _shown(name))
+
+
+class _Malformed(Exception):
+    """What was expected in a line, and what came."""
+
+
+def _refuse_no_numbers(words: list[bytes]) -> None:
+    doubtful = [words[-1]] + [word for word in words[2:-2:2] if LIKE_A_NUMBER.match(word)] * (len(words) == 5)
+    for word in doubtful:
+        if not NUMBER.fullmatch(word):
+            raise _Malformed("a number", _shown(word))
+
+
+def _shown(name: bytes) -> str:
+    return repr(name.decode(errors="replace"))
+
+
+class Entries:
+    """Names and entries of a file in QPS form, read line by line.
+
+    Attributes
+    ----------
+    certain : bool, False from where fields in the fixed form cannot be told apart
+    made : names that are not in COLUMNS and, so far, have no quadratic term of their own, and their lines
+    fixed : whether HiGHS reads the fixed form, which it takes where a name has a space in it
+    """
+
+    def __init__(self) -> None:
+        self.certain, self.fixed = True, False
+        self.section = self.title = self.objective = self.column = b""
+        self.begun: set[bytes] = set()
+        self.rows: set[bytes] = set()
+        self.columns: dict[bytes, int] = {}
+        self.made: dict[bytes, int] = {}
+        self.place = 0
+        self.sets: dict[bytes, bytes] = {}
+        self.seen: set[Any] = set()
+
+    def begin(self, section: bytes, words: list[bytes]) -> None:
+        """Begin a section, whose heading may have words after its name."""
+        argument = words[0] if words else b""
+        if section == b"NAME":
+            self.title = argument
+        elif section == b"OBJSENSE" and argument.upper().startswith(b"MAX") and argument != b"MAX":
+            raise _Malformed("MAX after OBJSENSE", f"{_shown(argument)}, by which HiGHS does not maximise")
+        elif section == b"RHS" and b"RANGES" in self.begun:
+            raise _Malformed("RHS before RANGES", "it after them, where HiGHS takes ranges from zero: exchange the two")
+        elif section in QUADRATIC and self.begun & QUADRATIC:
+            raise _Malformed("one section of quadratic terms", f"{section.decode()} too, which HiGHS adds: join them")
+        elif section in (b"QSECTION", b"QCMATRIX") and argument != self.objective and self.certain:
+            raise _Malformed(f"quadratic terms of the objective {_shown(self.objective)}", _shown(argument))
+        self.section = section
+        self.begun.add(section)
+
+    def add(self, line: bytes, words: list[bytes]) -> None:
+        """Add a line of the present section."""
+        if self.section == b"ROWS":
+            self._add_row(line.strip())
+        elif self.section == b"COLUMNS" and not self.fixed and len(words) > 1 and words[1] not in self.rows:
+            # HiGHS takes the form for a fixed one where both names together are as short as a single one.
+            text = line.strip()
+            self.fixed = text.index(words[1], len(words[0])) + len(words[1]) < 9
+        if self.section not in OF_NUMBERS:
+            return
+        if self.fixed:
+            words = self._fields(line)
+        if not self.certain or not words:
+            return
+        if self.section == b"COLUMNS":
+            self._add_coefficients(words)
+        elif self.section in (b"RHS", b"RANGES"):
+            self._add_sides(words)
+        elif self.section == b"BOUNDS":
+            self._add_bound(words)
+        else:
+            self._add_terms(words)
+
+    def _fields(self, line: bytes) -> list[bytes]:
+        """Return the fields of a line in the fixed form, the first one among the bounds only."""
+        text = line.rstrip()
+        kind = text[1:3].strip()
+        outside = any(text[start:end].strip() for start, end in GAPS) or bool(kind) != (self.section == b"BOUNDS")
+        self.certain &= not outside and b"\t" not in text
+        fields = [text[start:end].strip() for start, end in FIELDS]
+        while fields and not fields[-1]:
+            fields.pop()
+        return fields if kind else fields[1:]
+
+    def _add_row(self, text: bytes) -> None:
+        kind, name = text[:1], text[1:].strip()
+        self.fixed |= len(name.split()) > 1
+        if name in self.rows:
+            raise _Malformed("a new row", f"{_shown(name)} again: rename one of them or take it away")
+        self.rows.add(name)
+        if kind == b"N" and not self.objective:
+            self.objective = name
+
+    def _add_coefficients(self, words: list[bytes]) -> None:
+        name = words[0]
+        if name != self.column:
+            if name in self.columns:
+                raise _Malformed("entries of a column side by side", f"{_shown(name)} again: move them together")
+            self.column, self.columns[name] = name, len(self.columns)
+            self.seen = set()
+        for row in self._pairs(words[1:], self.rows):
+            self._once(row, f"the entry of {_shown(name)} in {_shown(row)}")
+
+    def _add_sides(self, words: list[bytes]) -> None:
+        """Add right-hand sides, of which HiGHS reads SIF's form without a set or with the title after it, or ranges."""
+        named, start = True, 1
+        if self.section == b"RHS" and not self.fixed:
+            named = words[0] == b"RHS" or words[0] not in self.rows
+            start = named + (named and words[1:2] == [self.title] and self.title not in self.rows)
+        if named:
+            self._refuse_second_set(words[0])
+        for row in self._pairs(words[start:], self.rows):
+            self._once((self.section, row), f"{_shown(row)} in {self.section.decode()}")
+
+    def _add_bound(self, words: list[bytes]) -> None:
+        kind, numbers = words[0], words[0] not in WITHOUT_NUMBER
+        if kind not in SIDES or len(words) < 2:
+            return
+        named = self.fixed or words[1] not in self.columns
+        if not named and (len(words) > 3 if numbers else len(words) > 2 and words[2] in self.columns):
+            raise _Malformed("a set of bounds not called as a column", f"{_shown(words[1])}: rename the set")
+        if len(words) == 1 + named:
+            raise _Malformed("a column of COLUMNS", _shown(words[1]))
+        name = words[1 + named]
+        self._make(name)
+        if named:
+            self._refuse_second_set(words[1])
+        for side in SIDES[kind]:
+            self._once((side, self.columns[name]), f"the {side} bound of {_shown(name)}")
+
+    def _add_terms(self, words: list[bytes]) -> None:
+        for name in [words[0], *words[1::2]]:
+            self._make(name)
+        i, whole = self.columns[words[0]], self.section in (b"QMATRIX", b"QCMATRIX")
+        for name in self._pairs(words[1:], self.columns):
+            j = self.columns[name]
+            key = (i, j) if whole or i < j else (j, i)
+            self._once((b"Q", *key), f"the term of {_shown(words[0])} and {_shown(name)}")
+            if i == j:
+                self.made.pop(name, None)
+
+    def _make(self, name: bytes) -> None:
+        """Make an unknown of a new name, as HiGHS does, whose writer leaves empty columns out of COLUMNS."""
+        if name not in self.columns:
+            if self.fixed:
+                raise _Malformed("a column of COLUMNS", _shown(name))
+            self.columns[name] = len(self.columns)
+            self.made[name] = self.place
+
+    def _pairs(self, words: list[bytes], among: Collection[bytes]) -> list[bytes]:
+        """Return the names in one or two pairs of a name and a number."""
+        names = words[::2]
+        for name in names:
+            if name not in among:
+                raise _Malformed("a row of ROWS", f"{_shown(name)}, which is none: mend its name")
+        if len(words) not in (2, 4):
+            raise _Malformed("one or two pairs of a name and a number", f"{len(words)} words")
+        return names
+
+    def _once(self, key: Any, what: str) -> None:
+        if key in self.seen:
+            raise _Malformed(f"{what} once", AGAIN)
+        self.seen.add(key)
+
+    def _refuse_second_set(self, name: bytes) -> None:
+        first = self.sets.setdefault(self.section, name)
+        if name != first:
+            raise _Malformed(f"one set of {self.section.decode()}, {_shown(first)}", f"{_shown(name)}: take it away")
+
+
+def _with_names(text: str, names: list[str] | None) -> str:
+    """Return a text in which names stand for the numbers of unknowns, as in K[0, 1] or "at unknown 3"."""
+    if names is None:
+        return text
+    text = re.sub(r"K\[(\d+), (\d+)\]", lambda found: f"K[{names[int(found[1])]}, {names[int(found[2])]}]", text)
+    return re.sub(r"unknown (\d+)", lambda found: f"unknown {names[int(found[1])]}", text)
 
 
 def _names(given: Any, count: int) -> list[str] | None:

@@ -16,7 +16,7 @@ from scipy.io import savemat
 import contactqp as cq
 from contactqp.cli import main
 from contactqp.exchange.fclib import write_fclib
-from contactqp.exchange.processes import refuse_no_numbers
+from contactqp.exchange.problem_files import refuse_malformed
 from contactqp.model.quadratic_program import answer_of_program
 
 P, Q = np.diag([2.0, 4.0]), np.array([-2.0, 4.0])
@@ -185,11 +185,106 @@ def test_numbers_that_are_none_are_refused(no_number: str, tmp_path: Path) -> No
     """HiGHS reads "abc" as 0, "1,5" as 1 and "2.0D3" as 2: a program of these was proven, with an energy of zero."""
     path = tmp_path / "t.qps"
     path.write_text(NUMBERS.format("-1e0", "Inf"))
-    refuse_no_numbers(str(path))
+    refuse_malformed(path)
     for numbers, line in ((("1.0", no_number), 14), ((no_number, "1.0"), 7)):
         path.write_text(NUMBERS.format(*numbers))
-        with pytest.raises(ValueError, match=rf"line {line}: expected a number, got '{re.escape(no_number)}'"):
-            refuse_no_numbers(str(path))
+        with pytest.raises(cq.InvalidProblem, match=rf"line {line}: expected a number, got '{re.escape(no_number)}'"):
+            refuse_malformed(path)
+
+
+BOUNDS, QUADRATIC, END = "BOUNDS\n", "QUADOBJ\n", "ENDATA\n"
+MALFORMED = {
+    "row twice": (" L  r2", " L  r2\n E  r1", "line 6: expected a new row, got 'r1'"),
+    "coefficient twice": ("RHS\n", "    c2  r1  3\nRHS\n", "line 11: expected the entry of 'c2' in 'r1' once"),
+    "columns apart": ("RHS\n", "    c1  obj  3\nRHS\n", "line 11: expected entries of a column side by side, got 'c1'"),
+    "three pairs": ("r2         2.0", "r2  2.0  r1  3", "line 9: expected one or two pairs of a name and a number"),
+    "side of no row": ("r2         6.0", "r9  6", "line 12: expected a row of ROWS, got 'r9'"),
+    "side twice": (BOUNDS, "    rhs1  r1  7\nBOUNDS\n", "line 13: expected 'r1' in RHS once"),
+    "sides of two sets": (BOUNDS, "    rhs2  obj  7\nBOUNDS\n", "line 13: expected one set of RHS, 'rhs1', got 'rhs2'"),
+    "range of no row": (BOUNDS, "RANGES\n    rng  r9  7\nBOUNDS\n", "line 14: expected a row of ROWS, got 'r9'"),
+    "sides after ranges": ("RHS\n", "RANGES\n    rng  r1  7\nRHS\n", "line 13: expected RHS before RANGES"),
+    "bound of no column": (QUADRATIC, " UP bnd1  c7  5\nQUADOBJ\n", "line 15: expected a column of COLUMNS.* got 'c7'"),
+    "bound twice": (QUADRATIC, " FR bnd1  c1\nQUADOBJ\n", "line 15: expected the upper bound of 'c1' once"),
+    "bounds of two sets": (
+        QUADRATIC,
+        " UP b  c2 5\nQUADOBJ\n",
+        "line 15: expected one set of BOUNDS, 'bnd1', got 'b'",
+    ),
+    "set named as a column": (
+        "UP bnd1",
+        "UP c2",
+        "line 14: expected a set of bounds not called as a column, got 'c2'",
+    ),
+    "term of no column": (END, "    c1  c7  1\nENDATA\n", "line 19: expected a column of COLUMNS.* got 'c7'"),
+    "term twice": (END, "    c2  c1  1\nENDATA\n", "line 19: expected the term of 'c2' and 'c1' once"),
+    "terms of two sections": (END, "QMATRIX\nENDATA\n", "line 19: expected one section of quadratic terms"),
+    "terms of no objective": ("QUADOBJ", "QSECTION r9", "line 15: expected quadratic terms of the objective 'obj'"),
+    "another sense": ("ROWS\n", "OBJSENSE MAXIMIZE\nROWS\n", "line 2: expected MAX after OBJSENSE, got 'MAXIMIZE'"),
+}
+
+
+@pytest.mark.parametrize("given", MALFORMED.values(), ids=MALFORMED.keys())
+def test_entries_that_highs_leaves_out_or_adds_are_refused(given: tuple[str, str, str], tmp_path: Path) -> None:
+    """HiGHS reads each of these without an error, as another program than the one that is written."""
+    before, after, message = given
+    path = tmp_path / "t.qps"
+    path.write_text(QPS)
+    refuse_malformed(path)
+    path.write_text(QPS.replace(before, after, 1))
+    with pytest.raises(cq.InvalidProblem, match=rf"t\.qps: {message}"):
+        refuse_malformed(path)
+
+
+FIXED = """NAME          T
+ROWS
+ N  obj
+ G  r 1
+COLUMNS
+    c 1       obj                1.5   r 1                2.0
+RHS
+    rhs       r 1                2.0
+BOUNDS
+ UP bnd       c 1               20.0
+QUADOBJ
+    c 1       c 1                8.0
+ENDATA
+"""
+
+
+@pytest.mark.parametrize("section", ["RHS", "BOUNDS", "QUADOBJ", "ENDATA"])
+def test_names_with_spaces_are_told_apart_in_fixed_fields_only(section: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.qps"
+    head, _, tail = FIXED.partition(f"\n{section}\n")
+    last = head.splitlines()[-1]
+    twice = f"{head}\n{last}\n{section}\n{tail}"
+    path.write_text(twice)
+    with pytest.raises(cq.InvalidProblem, match=rf"line {len(head.splitlines()) + 1}: expected .* once"):
+        refuse_malformed(path)
+    for certain_or_not in (FIXED, twice.replace("    c 1       obj  ", "  c 1       obj    ")):
+        path.write_text(certain_or_not)
+        refuse_malformed(path)
+
+
+def test_unknowns_with_quadratic_terms_alone_need_no_column(tmp_path: Path) -> None:
+    """HiGHS's own writer leaves empty columns out; sets of sides and of bounds may go without a name, as in SIF."""
+    path = tmp_path / "t.qps"
+    alone = QPS.replace("UP bnd1", "UP").replace(QUADRATIC, " FR bnd1      c7\nQUADOBJ\n    c7        c7        1.0\n")
+    path.write_text(alone.replace("    rhs1 ", "    "))
+    refuse_malformed(path)
+
+
+@pytest.mark.slow
+def test_programs_that_are_not_convex_name_file_and_unknown(tmp_path: Path) -> None:
+    pytest.importorskip("highspy")
+    path = tmp_path / "t.qps"
+    for before, after, message in (
+        ("20.0", "-20.0", "bounds of c1: expected a lower one at most the upper one, got 0 above -20"),
+        ("c2       10.0", "c2       -10.0", r"stiffness: expected positive semidefinite, got K\[c2, c2\] = -10"),
+        ("c2       10.0", "c2       0.25", r"stiffness: indefinite, \|K\[c1, c2\]\| = 2 exceeds"),
+    ):
+        path.write_text(QPS.replace(before, after))
+        with pytest.raises(cq.InvalidProblem, match=rf"t\.qps: {message}"):
+            cq.read_problem(path)
 
 
 def command(*arguments: str) -> int:
