@@ -38,8 +38,6 @@ from contactqp.model.solution import Answer
 FORMED = 8
 # The largest contact forces by rounding of K, in multiples of one sample.
 PUSHED_BY_ROUNDING = 8.0
-# The same if the sample itself may be a real resistance, so that only two readings of K differ.
-PUSHED_BY_RESISTANCE = 2.0
 # Relative forces K z of rigid motions above which a real resistance is possible.
 RESISTED = 1e-9
 # Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
@@ -219,7 +217,8 @@ def shared_by_rounding(
     validity.
 
     On the closed contacts they balance K z of the rigid part z of a displacement. Stated motions are exact and make
-    none if K was cleared of them. Beyond `RESISTED` other motions may have a real resistance, and nothing is proven.
+    none if K was cleared of them. Beyond `RESISTED` other motions may have a real resistance, and nothing is proven; if
+    they are rigid, these forces have no resultant and do not affect statically determined forces.
 
     Parameters
     ----------
@@ -233,10 +232,13 @@ def shared_by_rounding(
     forces = resisting_forces(problem, condensation, displacement, cleared)
     if not forces.any():
         return np.zeros(problem.contacts), 0.0, True
-    unsure = cleared > RESISTED and bool(problem.load.any() or push.any())
+    unsure, motions = cleared > RESISTED and bool(problem.load.any() or push.any()), condensation.rigid.motions
+    if unsure:
+        spread = problem.diagonal[:, None] * motions
+        forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
     pushed, closed = np.zeros(problem.contacts), saddle.closed
     _, share, _ = condensation.correction(saddle, forces, np.zeros(len(closed)), np.zeros(problem.ties))
-    pushed[closed] = (PUSHED_BY_RESISTANCE if unsure else PUSHED_BY_ROUNDING) * share
+    pushed[closed] = PUSHED_BY_ROUNDING * share
     return abs(pushed), sum(force_norm(problem, condensation, extend(pushed), tied=True)), not unsure
 
 

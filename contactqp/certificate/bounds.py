@@ -150,9 +150,11 @@ class Bounds:
         """Return whether energy and force error are bounded, and not only estimated."""
         return self.energy_error is not None and self.force_error is not None and not self.estimated
 
-    def leaves_untold(self, tolerance: float) -> bool:
-        """Return whether it matters that real resistance may be hidden in the rounding of K along rigid motions."""
-        return self.estimated and self.cleared > tolerance
+    def claimed(self, tolerance: float) -> Bounds:
+        """Return these bounds, which hold if bodies float, or none where it matters and the numbers do not tell."""
+        if not (self.estimated and self.cleared > tolerance):
+            return self
+        return no_bounds(UNTOLD_RESISTANCE.format(self.cleared))
 
     @cached_property
     def basis(self) -> str:
@@ -453,8 +455,6 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
     """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are zero."""
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
-    if untold := bounds.leaves_untold(tolerance):
-        yield f"unproven: {UNTOLD_RESISTANCE.format(bounds.cleared)}"
     # Absolute errors, where the true size vanishes, are compared with the answer's energy or, without strain, with the
     # strain by rounding; sizes negligible beside all others count as zero, unless the contact forces are smaller.
     beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
@@ -471,7 +471,7 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
         value = getattr(bounds, name)
         if name == "energy_error" and bounds.by_energy:
             value = bounds.apart  # `energy_failures` judges the energy itself
-        if value is None or (untold and name == "force_error"):
+        if value is None:
             continue
         if scale > none:
             kind, limit, size = f"of {'its' if what == 'displacement' else 'their'} size", tolerance, scale
@@ -493,7 +493,7 @@ def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
 
     Errors up to `nothing` [sqrt(energy)] count as zero on floating bodies, as loads may be far larger than the forces.
     """
-    relative = None if bounds.leaves_untold(tolerance) else bounds.relative_force_bound
+    relative = bounds.relative_force_bound
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0
     if bounds.largest_force > 0:
         beneath = max(bounds.rounding, nothing) / bounds.largest_force

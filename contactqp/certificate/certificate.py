@@ -336,13 +336,14 @@ def _verdict(
         notes += messages.of_friction_on_supports(problem, measured.supported)
     if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
+    claimed = bounds if failures else bounds.claimed(error_tolerance)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),
-        energy_error=bounds.energy_error,
-        force_error=bounds.force_error,
-        force_bound=None if bounds.force_bound is None else ROUNDED_UP * bounds.force_bound,
-        reasons=bounds.reasons,
+        energy_error=claimed.energy_error,
+        force_error=claimed.force_error,
+        force_bound=None if claimed.force_bound is None else ROUNDED_UP * claimed.force_bound,
+        reasons=claimed.reasons,
         grazing=tuple(measured.grazing.nonzero()[0].tolist()),
         failures=tuple(failures),
         notes=(*notes, *measured.others.notes, *measured.state.notes),
@@ -351,8 +352,8 @@ def _verdict(
         tolerance=tolerance,
         error_tolerance=error_tolerance,
         passed=not failures,
-        proven=bounds.proven,
-        basis=measured.state.basis,
+        proven=claimed.proven,
+        basis=measured.state.basis if claimed is bounds else claimed.basis,
         energy_bounds=bounds.energy_bounds and rounded_outward(problem, answer, *bounds.energy_bounds),
         determined=bounds.determined,
         distance=measured.state.distance,

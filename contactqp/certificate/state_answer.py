@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from contactqp.certificate import messages
-from contactqp.certificate.balance import UNTOLD_RESISTANCE, resisting_forces
 from contactqp.certificate.bounds import NEXT_TO_NOTHING
 from contactqp.certificate.figures import (
     FEW_DIGITS,
@@ -159,10 +158,6 @@ def state_verdict(
     failures: tuple[str, ...] = ()
     if not all(part <= tolerance for part in relative.values()):  # NaN fails
         failures = messages.of_distances(problem, distance.worst, relative, tolerance)
-    made = 0.0 if compared.compared is None else compared.compared.refined.cleared
-    floats = condensation if made > tolerance else None
-    if floats is not None and resisting_forces(problem, floats, answer.displacement, made).any():
-        failures += (f"unproven: {UNTOLD_RESISTANCE.format(made)}",)
     if compared.redundant and not failures:
         held = "redundant contacts: forces are compared as far as the bodies feel them"
         return StateVerdict(STATE, largest, distance.displacement[1], notes=(held,), displacement=compared.displacement)

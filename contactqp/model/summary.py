@@ -255,7 +255,7 @@ def without_rounding(solution: Any) -> Contacts:
         slip = _nothing_below(abs(problem.slip_origin) + (abs(problem.tangent) @ u).reshape(slip.shape), slip)
     force, bound = solution.normal_force, solution.certificate.force_bound
     sizes = _meeting_on(problem.normal, meeting)
-    if bound is not None:
+    if bound is not None and bound.shape == force.shape:  # not in a motion, which is certified step by step
         sizes = np.where(abs(force) > FAR_ABOVE * bound, _meeting_on(problem.normal, outer), sizes)
     return Contacts(
         _nothing_below(sizes, force),

@@ -109,11 +109,6 @@ def test_a_body_whose_stiffness_is_singular_to_rounding_only_may_move_without_st
 def test_forces_that_balance_the_rounding_of_a_stiffness_with_the_load_are_refused():
     """Moved by 0.83 m, bars of 7.7e10 leave 1e-5 N of rounding, and loads of 1e-3 N would be carried to a percent."""
     problem = _floating_triangle(7.7e10, 0.83, 1e-3)
-    with pytest.raises(cq.NotCertified, match=r"rounding decides 0\.0041 of the forces: state the motions"):
-        cq.solve(problem)
-    x, y = np.array([[0.0, 0.0], [1.3, 0.1], [0.4, 0.9]]).T
-    motions = np.array([[1.0, 0.0] * 3, [0.0, 1.0] * 3, np.column_stack([-y, x]).ravel()]).T
-    problem = problem.replace(near_null_space=motions)
     solution = cq.solve(problem)
     assert solution.normal_force == pytest.approx([1e-3, 0.7e-3], rel=1e-12)
     assert "zero along the rigid motions" in solution.certificate.notes[-1]
@@ -135,12 +130,13 @@ def test_a_stiffness_that_resists_a_motion_by_no_more_than_its_rounding_proves_n
     K, f = _chain([1.0, 1e13] * 30), np.random.default_rng(3).normal(size=60)
     problem = cq.ContactProblem(K, f, np.eye(60)[[30, 59]], [0.5, 1.0])
     truth = np.array([float(force) for force in cq.exact(problem).normal_force])
-    with pytest.raises(cq.NotCertified, match="no more than the rounding of its entries") as refused:
-        cq.solve(problem)
-    taken = refused.value.solution
-    apart = abs(taken.normal_force - truth)
-    assert np.max(apart) > 0.5 * np.max(truth)  # of the doubles as they stand
-    assert np.all(apart <= taken.certificate.force_bound)
+    taken = cq.solve(problem)
+    assert np.max(abs(taken.normal_force - truth)) > 0.5 * np.max(truth)  # of the doubles as they stand
+    judged = taken.certificate
+    assert judged.passed
+    assert (judged.proven, judged.force_bound, judged.force_error, judged.basis) == (False, None, None, "figures")
+    assert "no more than the rounding of its entries" in judged.reasons[0]
+    assert "whether it is rounding that resists them is not known" in judged.notes[-1]
     firmly = problem.replace(stiffness=_chain([1.0, 1e10] * 30))
     solution = cq.solve(firmly)
     assert solution.certificate.proven
@@ -176,11 +172,13 @@ def test_a_held_body_that_rounding_hides_is_not_taken_for_a_floating_one(hint, f
         unknowns, hint = np.eye(5), None if hint is None else np.ones((5, 1))
         rows = dict(normal=-unknowns[[2]], tangent=unknowns[[4]], friction=0.3, near_null_space=hint)
         problem = cq.ContactProblem(beside, np.append(problem.load, 0.1), gap=[0.01], **rows)
-    with pytest.raises(cq.NotCertified, match="an array of shape") as refused:
-        cq.solve(problem)
-    assert refused.value.solution.normal_force == pytest.approx([1.0])  # as if it floated
-    bound = refused.value.solution.certificate.force_bound
-    assert bound is None or bound[0] > 0.03
+    taken = cq.solve(problem)
+    assert taken.normal_force == pytest.approx([1.0])  # as if it floated
+    assert taken.certificate.force_bound is None
+    assert not taken.certificate.proven
+    if not friction:
+        assert taken.certificate.basis == "figures"
+        assert all("an array of shape (n, 0)" in reason for reason in taken.certificate.reasons)
     truth = float(cq.exact(problem).normal_force[0])
     assert truth == pytest.approx(0.97, rel=1e-5)
     solution = cq.solve(problem.replace(near_null_space=np.zeros((problem.dimension, 0))))
@@ -210,7 +208,7 @@ def test_a_long_clamped_beam_is_right_where_no_body_is_said_to_float():
     assert solution.certificate.proven
     assert solution.normal_force == pytest.approx([0.345], rel=1e-7)
     unstated = cq.certify(problem, solution.displacement, solution.normal_force)
-    assert any("no more than the rounding of its entries" in failure for failure in unstated.failures)
+    assert not unstated.proven
 
 
 @pytest.mark.parametrize("soft", [1e-3, 0.3, 1.1])
