@@ -82,11 +82,11 @@ def test_the_files_that_check_reads_are_these(tmp_path: pathlib.Path, monkeypatc
     assert len(files) == 4
     for name, text in files.items():
         (tmp_path / name).write_text(text)
-    (check,) = re.findall(r"`contactqp (check bar theirs\.csv)` calls the answer right", README)
+    assert "PROBLEM is the folder `bar`, and `theirs.csv` is right" in README
     for text, code in ((files["theirs.csv"], 0), (files["theirs.csv"].replace("142.5", "142.6"), 1)):
         (tmp_path / "theirs.csv").write_text(text)
         with pytest.raises(SystemExit) as ended:
-            main(check.split())
+            main(["check", "bar", "theirs.csv"])
         assert ended.value.code == code
 
 
