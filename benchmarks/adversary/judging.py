@@ -370,20 +370,23 @@ def shared_otherwise(
     """Forces that nearly parallel rows of closed contacts and ties share otherwise, by 0.001 of the largest and more.
 
     What is out of balance is half of the tolerance. Rows are independent up to a condition of 1e9, and so are those of
-    contacts that graze, so that forces are unique; these are compared where all unknowns that they act on are stiff.
+    contacts that graze, so that forces are unique; these are compared where all unknowns that they act on are stiff, or
+    none is.
     """
     pushing = np.flatnonzero(force > 0)
     rows = np.vstack([problem.normal.toarray()[pushing], problem.tie.toarray()])
     stiff, sizes = problem.diagonal > 0, np.linalg.norm(rows, axis=1)
     touched = np.any(rows, axis=0)
-    if not 2 <= len(rows) <= rows.shape[1] or not np.all(sizes) or not np.all(stiff[touched]):
+    if not 2 <= len(rows) <= rows.shape[1] or not np.all(sizes) or len(set(stiff[touched])) > 1:
         return
     shares, apart, _ = np.linalg.svd(rows / sizes[:, None])
     touching = problem.normal.toarray()[problem.gap - problem.normal @ u == 0]
     met = np.vstack([touching[np.any(touching, axis=1)], problem.tie.toarray()])
     if apart[-1] <= 1e-9 * apart[0] or np.linalg.matrix_rank(met) < len(met):
         return
-    unit = np.linalg.norm(rows / np.sqrt(np.where(stiff, problem.diagonal, 1.0)), axis=1)
+    unit = sizes
+    if np.all(stiff[touched]):
+        unit = np.linalg.norm(rows / np.sqrt(np.where(stiff, problem.diagonal, 1.0)), axis=1)
     change = shares[:, -1] / sizes
     meeting = forces_that_meet(problem, u, force, None) + abs(problem.tie.T) @ abs(tie)
     unbalanced = np.max(abs(rows.T @ change)[touched] / meeting[touched], initial=0.0, where=meeting[touched] > 0)

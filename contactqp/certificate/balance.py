@@ -125,6 +125,18 @@ def imposed_work(problem: ContactProblem, answer: Answer) -> float:
     return float(contacts + abs(answer.tie_force) @ abs(problem.tie_value))
 
 
+def parts_of_bare_forces(problem: ContactProblem, bound: Vector, push: Vector) -> Vector:
+    """Return bounds (m,) over the largest force for contacts at unknowns without stiffness, 0 for others.
+
+    Forces are compared in the scale that rows give these unknowns, as their own compliance does not see them.
+    """
+    bare = problem.diagonal == 0
+    felt = np.sqrt(problem.normal.power(2) @ scale_through_rows(problem) ** 2)
+    largest = float(np.max(felt * abs(push), initial=0.0))
+    seen = (abs(problem.normal) @ bare.astype(float) > 0) & (largest > 0)
+    return np.where(seen, bound * felt / (largest or 1.0), 0.0)
+
+
 def strain_of_rigid_part(problem: ContactProblem, condensation: Condensation, displacement: Vector) -> float:
     """Return the energy norm of the rigid part of a displacement, which is rounding of K."""
     forces = resisting_forces(problem, condensation, displacement)

@@ -67,6 +67,7 @@ from contactqp.certificate.balance import (
     UNTOLD_RESISTANCE,
     free_distance,
     nearest_to,
+    parts_of_bare_forces,
     shared_by_rounding,
     strain_of,
     strain_of_rigid_part,
@@ -169,8 +170,7 @@ def error_bounds(
 
     Parameters
     ----------
-    problem, answer, residual : ContactProblem, Answer, and the Residuals of the answer
-    condensation : that of the problem
+    problem, answer, residual, condensation : ContactProblem, Answer, its Residuals, and the problem's Condensation
     by_energy : `bounds_by_energy` for parts without stiffness, where all energy norms vanish; None leaves these out
     """
     if problem.frictional:
@@ -218,10 +218,8 @@ def admissible_pair(
 
     Parameters
     ----------
-    problem : without friction
-    answer : the solution that the pair is to be near
-    residual : those of the answer
-    condensation : that of the problem
+    problem, condensation : without friction, and its Condensation
+    answer, residual : the solution that the pair is to be near, and its Residuals
     """
     pair = _nearest_pair(problem, answer, residual, condensation)
     if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive no motion
@@ -351,6 +349,8 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     if force_bound is not None:
         force_bound = force_bound + (abs(changed) + shared)
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
+        if relative is not None and not problem.diagonal.all():
+            relative = np.maximum(relative, parts_of_bare_forces(problem, force_bound, push))
     lost = hidden and not pair.exact  # the strain hidden by a large motion is unknown
     energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
     return Bounds(

@@ -482,7 +482,7 @@ def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, ri
         return bounds
     found = energy_bounds(problem, answer)
     if not found.proven:
-        return bounds if problem.diagonal.any() else replace(found, suspicious=bounds.suspicious)
+        return bounds if problem.diagonal.any() else found
     if bounds.force_error is None or found.force_error is None:
         return found
     return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in its own norm

@@ -254,13 +254,15 @@ def settled(problem: ContactProblem, answer: Answer, effort: Effort, driven: boo
 
 
 def _by_pivots(problem: ContactProblem, answer: Answer, failed: ClosedState, effort: Effort) -> ClosedState:
-    """Return the solution with the contacts of an answer for nearly dependent rows, else the `failed` state.
+    """Return the solution for nearly dependent rows, of the `failed` state or an answer's contacts, else that state.
 
     Parameters
     ----------
     problem, answer, effort : as in `settled`
     failed : the state that other ways have led to
     """
+    if (state := by_pivots(failed, effort)).holds:
+        return state
     effort.pivots = True
     state = nearest_state(problem, _closed_in(problem, answer), start := ExtendedAnswer.of(answer), effort)
     if not state.holds:

@@ -390,7 +390,7 @@ class PivotedSaddle:
         [ E_C       ] [ a l ] = [ g_C ]
 
     With a below the least singular value of the rows the condition number of the matrix is that of the rows instead of
-    its square (Bjorck 1996, section 2.5.1).
+    its square (Bjorck 1996, section 2.5.1). Springs beside K make it regular where motions are free.
 
     Raises BackendFailed: the rows are dependent, or the factors may have too many entries.
 
@@ -398,13 +398,14 @@ class PivotedSaddle:
     ----------
     problem : ContactProblem, equilibrated
     closed : (c,) array of int, the closed contacts
-    part : float, a
+    part, spring : float, a, and what is added to the diagonal of K
     """
 
-    def __init__(self, problem: ContactProblem, closed: Indices, part: float) -> None:
+    def __init__(self, problem: ContactProblem, closed: Indices, part: float, spring: float = 0.0) -> None:
+        K = problem.stiffness_rows + spring * sp.identity(problem.dimension)
         rows = sp.vstack([problem.normal[closed], problem.tie])
         self._part, self._contacts = part, len(closed)
-        self._factor = with_pivots(sp.bmat([[part * problem.stiffness_rows, rows.T], [rows, None]], format="csc"))
+        self._factor = with_pivots(sp.bmat([[part * K, rows.T], [rows, None]], format="csc"))
 
     def correction(self, force: Vector, gap: Vector, tie: Vector) -> tuple[Vector, Vector, Vector, int]:
         """Return corrections of u, l and nu for residuals, and the back-substitutions: one."""

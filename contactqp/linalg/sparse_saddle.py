@@ -43,8 +43,8 @@ FEW_FIXED = 0.2
 FINE, WORTH_ANOTHER = 1e-22, 0.1
 # A sweep has failed if the larger residual grows by more than this.
 GROWS = 4.0
-# Parts of K of which one is small beside rows that nearly depend on each other, and how often they are tried in vain.
-SMALL_STIFFNESS, MOST_IN_VAIN = (1e-4, 1e-8, 1e-12), 3
+# Parts of K, one small beside rows that nearly depend on each other, with springs; how often they are tried in vain.
+SMALL_STIFFNESS, MOST_IN_VAIN = ((1e-4, 0.0), (1e-8, 0.0), (1e-12, 0.0), (1e-4, 1e-6)), 3
 # Closed contacts and ties that are met to this part of the largest length do not contradict each other.
 MET_TOGETHER = 1e-20
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
@@ -378,11 +378,11 @@ def by_pivots(state: ClosedState, effort: Effort) -> ClosedState:
     few = len(closed) + problem.ties <= problem.dimension
     if not few or state.residual > NEARLY_MET or effort.in_vain >= MOST_IN_VAIN:
         return state
-    for part in SMALL_STIFFNESS:
+    for part, spring in SMALL_STIFFNESS:
         try:
-            saddle = PivotedSaddle(problem, closed, part)
+            saddle = PivotedSaddle(problem, closed, part, spring)
         except BackendFailed:
-            break
+            continue
         effort.factorisations += 1
         # The first answer has rounding errors of forces that may be far larger than those of the previous state.
         after = _swept(_corrected(state, saddle, effort), saddle, effort)

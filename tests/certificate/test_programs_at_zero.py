@@ -122,3 +122,45 @@ def test_the_forces_of_a_part_without_stiffness_are_judged_beside_a_body() -> No
     np.testing.assert_allclose(answer.normal_force, 1.0, rtol=1e-6)
     assert answer.certificate.proven
     assert not cq.certify(problem, answer.displacement, [1.01, 0.99, 1.0]).passed
+
+
+@pytest.mark.parametrize("exponent", [16, 25, 28])
+@pytest.mark.parametrize("stiff", [False, True], ids=["alone", "beside a spring"])
+def test_forces_of_nearly_parallel_rows_are_judged_where_no_length_is_stated(exponent: int, stiff: bool) -> None:
+    """Two rows meet at the origin, where nothing moves: no length tells which contacts touch, their forces do."""
+    apart = 2.0**-exponent
+    rows = np.array([[-1.0, 1.0, 0.0], [-1.0, 1.0 + apart, 0.0]])
+    K, beside = np.diag([0.0, 0.0, float(stiff)]), np.array([0.0, 0.0, float(stiff)])
+    problem = cq.ContactProblem(K, rows.T @ [2.0, 1.75] + beside, rows, [0.0, 0.0])
+    right = cq.certify(problem, beside, [2.0, 1.75])
+    assert right.passed
+    assert right.proven
+    off = 1e-9 / apart  # out of balance by 1e-9, where forces of two meet
+    assert not cq.certify(problem, beside, [2.0 + off, 1.75 - off]).passed
+    np.testing.assert_allclose(cq.solve(problem).normal_force, [2.0, 1.75], rtol=1e-7)
+
+
+@pytest.mark.parametrize("tied", [False, True], ids=["contacts", "ties"])
+@pytest.mark.parametrize("stiff", [False, True], ids=["no stiffness", "one spring"])
+@pytest.mark.parametrize("seed", range(8))
+def test_wrong_forces_of_nearly_parallel_rows_are_refused_where_motions_are_free(
+    seed: int, stiff: bool, tied: bool
+) -> None:
+    """Fewer rows than unknowns, two of them 4e-6 apart: what is out of balance by rounding is shared otherwise."""
+    random = np.random.default_rng(seed)
+    n, m = 5, 3
+    rows = random.integers(-3, 4, (m, n)) + 4.0 * np.eye(m, n)
+    rows[1] = rows[0]
+    rows[1, 4] += 2.0**-18
+    K, u = np.diag([0.0] * 4 + [float(stiff)]), np.zeros(n)
+    forces = random.integers(1, 17, m) / 8
+    limits = dict(tie=rows, tie_value=rows @ u) if tied else {}
+    normal, gap = (np.zeros((0, n)), np.zeros(0)) if tied else (rows, rows @ u)
+    problem = cq.ContactProblem(K, K @ u + rows.T @ forces, normal, gap, **limits)
+
+    def judged(given: np.ndarray) -> cq.Certificate:
+        contacts, ties = (np.zeros(0), given) if tied else (given, None)
+        return cq.certify(problem, u, contacts, tie_force=ties)
+
+    assert judged(forces).proven
+    assert not judged(forces + np.array([1e-4, -1e-4, 0.0])).passed
