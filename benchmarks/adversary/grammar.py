@@ -121,8 +121,8 @@ def _sentence(rng: Generator, law: str, names: list[str], held: str) -> Sentence
     if held == "ties" or rng.random() < 0.25:
         _tie(draft)
     repeats = str(rng.choice(REPEATS))
-    # Bodies that contacts alone hold have rows apart by more: open, benchmarks/README.md.
-    _repeat(draft, repeats, 16 if held == "contact" else 28)
+    # Rows that are nearer, and more so on bodies that contacts alone hold, are open: benchmarks/README.md.
+    _repeat(draft, repeats, 16 if held == "contact" else 20)
     around = held in ("contact", "ties") or rng.random() < 0.5
     loading = "around an answer" if around else str(rng.choice(LOADS))
     (_around_an_answer if around else _load)(draft, loading)

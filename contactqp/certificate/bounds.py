@@ -232,19 +232,22 @@ def _nearest_pair(
 ) -> AdmissiblePair:
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
-    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
-        return _from_set(problem, answer, condensation, found)
-    sets = believed_sets(problem, answer, compliance)
-    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
-        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
-            return _from_set(problem, answer, condensation, found)
-    if (found := _holding(problem, condensation, first, LAST_CORRECTIONS)) is not None:
-        return _from_set(problem, answer, condensation, found)
-    searched = searched_set(problem, condensation)
-    found = None if searched is None else _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
-    if found is not None:
-        return _from_set(problem, answer, condensation, found)
-    return from_repair(problem, answer, condensation, first)
+    sets, singular = believed_sets(problem, answer, compliance), None
+    tries = ((first, CORRECTIONS), *((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS))
+    for closed, corrections in tries:
+        try:
+            if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
+                return _from_set(problem, answer, condensation, found)
+        except Unproven as reason:  # other sets may leave out one of two nearly dependent rows
+            singular = singular or reason
+    if singular is not None:
+        raise singular
+    found = _holding(problem, condensation, first, LAST_CORRECTIONS)
+    if found is None and (searched := searched_set(problem, condensation)) is not None:
+        found = _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
+    if found is None:
+        return from_repair(problem, answer, condensation, first)
+    return _from_set(problem, answer, condensation, found)
 
 
 def _holding(
@@ -260,10 +263,8 @@ def _holding(
     Refinement starts from an answer, unless that is so large that its rounding hides the gaps.
     """
     on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
-    if on_set.contraction >= CONTRACTION:
-        raise Unproven(
-            f"the refinement contracts by {on_set.contraction:.2g} only: the stiffness is singular to working precision"
-        )
+    if (q := on_set.contraction) >= CONTRACTION:
+        raise Unproven(f"the refinement contracts by {q:.2g} only: the stiffness is singular to working precision")
     return on_set if holds else None
 
 

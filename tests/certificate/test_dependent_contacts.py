@@ -317,3 +317,27 @@ def test_whether_forces_are_unique_is_told_in_any_units_of_rows() -> None:
     solution = cq.solve(problem)
     assert solution.certificate.passed
     assert solution.normal_force[2] == pytest.approx(1.8e-7 / 1.6e-201)
+
+
+def test_a_grazing_contact_that_is_nearly_parallel_to_one_that_presses_is_left_out() -> None:
+    """Two ties and two contacts hold a lattice that floats; noise of rounding counts the third contact as closed."""
+    lower = {
+        (0, 0): 228, (1, 0): 156, (1, 1): 436, (2, 0): -72, (2, 2): 73.0625, (3, 2): -1.0625, (3, 3): 117.0625,
+        (4, 2): -1.0625, (4, 3): 1.0625, (4, 4): 16.0625, (5, 1): -280, (5, 2): 1.0625, (5, 3): -1.0625,
+        (5, 4): -1.0625, (5, 5): 281.0625, (6, 0): -156, (6, 1): -156, (6, 4): -15, (6, 6): 171, (7, 0): -156,
+        (7, 1): -156, (7, 3): -116, (7, 6): 156, (7, 7): 272,
+    }  # fmt: skip
+    K = np.zeros((8, 8))
+    for (i, j), entry in lower.items():
+        K[i, j] = K[j, i] = entry
+    normal = np.zeros((3, 8))
+    normal[[0, 2], 4] = normal[1, 7] = -1.0
+    normal[2, 0] = 2.0**-23
+    tie = np.array([[1.5, 0, -1, -0.5, 0.5, 1, -1, -0.5], [1, 1, 0, 0.5, -1, 0, 1, 0]])
+    u, force, tied = np.array([-7, -2, 5, 1, 8, -5, -2, 6]) / 8, np.array([0, 326, 0.75 * 2**-9]), np.array([0, -0.25])
+    load = K @ u + normal.T @ force + tie.T @ tied
+    problem = cq.ContactProblem(K, load, normal, normal @ u, tie=tie, tie_value=tie @ u)
+    for seed in range(8):
+        noise = 2.0**-47 * np.random.default_rng(seed).normal(size=8) / np.sqrt(np.diag(K))
+        certificate = cq.certify(problem, u + noise, force, tie_force=tied)
+        assert certificate.proven, certificate.failures
