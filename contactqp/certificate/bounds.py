@@ -29,11 +29,11 @@ The pair (v, l) is the refined answer on the candidate's own set, or what `admis
 candidate is its distance to the pair and the pair's own.
 
 Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
-large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about
-s q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 nothing is proven and the reason
-is given. The uncertainty by contacts with gap or force of rounding size is added, too. If bodies float, norms are
-computed with and without rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate
-of rounding, not an interval enclosure.
+large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about s
+q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 on every set, nothing is proven.
+The uncertainty by gaps or forces of rounding size is added. If bodies float, norms are computed with and without
+rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate of rounding, not an
+interval enclosure.
 """
 
 from __future__ import annotations
