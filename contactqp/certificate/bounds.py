@@ -232,16 +232,12 @@ def _nearest_pair(
 ) -> AdmissiblePair:
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
-    sets, singular = believed_sets(problem, answer, compliance), None
-    tries = ((first, CORRECTIONS), *((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS))
-    for closed, corrections in tries:
-        try:
-            if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
-                return _from_set(problem, answer, condensation, found)
-        except Unproven as reason:  # other sets may leave out one of two nearly dependent rows
-            singular = singular or reason
-    if singular is not None:
-        raise singular
+    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
+        return _from_set(problem, answer, condensation, found)
+    sets = believed_sets(problem, answer, compliance)
+    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
+        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
+            return _from_set(problem, answer, condensation, found)
     found = _holding(problem, condensation, first, LAST_CORRECTIONS)
     if found is None and (searched := searched_set(problem, condensation)) is not None:
         found = _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
@@ -260,12 +256,13 @@ def _holding(
 ) -> OnSet | None:
     """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
 
-    Refinement starts from an answer, unless that is so large that its rounding hides the gaps.
+    Refinement starts from an answer, unless that is so large that its rounding hides the gaps. None is returned, too,
+    where it does not contract: another set may leave out one of two nearly dependent rows. Without an answer Unproven.
     """
     on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
-    if (q := on_set.contraction) >= CONTRACTION:
+    if (q := on_set.contraction) >= CONTRACTION and answer is None:
         raise Unproven(f"the refinement contracts by {q:.2g} only: the stiffness is singular to working precision")
-    return on_set if holds else None
+    return on_set if holds and q < CONTRACTION else None
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:
