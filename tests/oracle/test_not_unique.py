@@ -49,7 +49,9 @@ def test_ties_that_say_the_same_share_their_force() -> None:
     twice = cq.ContactProblem([[2.0]], [3.0], [[1.0]], [5.0], tie=[[1.0], [1.0]], tie_value=[1.0, 1.0])
     answer = cq.exact(twice)
     assert list(answer.tie_force) == [F(1, 2), F(1, 2)]
-    assert answer.unique_forces  # of contacts, of which none pushes
+    assert not answer.unique_forces
+    assert answer.force_range.tolist() == [[0, 0]]
+    assert "forces are not unique, though the normal force of each contact is" in str(answer)
 
 
 def test_a_tie_and_a_contact_that_hold_the_same_node() -> None:
@@ -173,3 +175,43 @@ def test_exact_forces_of_programs_with_dependent_rows_and_ties_are_right() -> No
         if force.any():
             assert not cq.certify(problem, u, -force, None, held).passed
             assert not cq.certify(problem, u, np.where(force == force.max(), 1.001, 1.0) * force, None, held).passed
+
+
+def test_contacts_that_stick_where_a_free_motion_ends_may_share_forces() -> None:
+    # Nothing is stiff. A tie holds u_1 - u_3 = -4 along the row of the contact, so l + nu = 0. The least displacement
+    # (-2, 0, 2, 0) has no slip, and the contact may squeeze there without end; with slip it could not.
+    row = [[1.0, 0.0, -1.0, 0.0]]
+    squeezed = cq.ContactProblem(
+        np.zeros((4, 4)),
+        np.zeros(4),
+        row,
+        [-4.0],
+        tangent=[[0.0, -1.0, 1.0, 0.0]],
+        friction=0.5,
+        slip_origin=[2.0],
+        tie=row,
+        tie_value=[-4.0],
+    )
+    answer = cq.exact(squeezed)
+    assert list(answer.displacement) == [-2, 0, 2, 0]
+    assert answer.slip[0, 0] == 0
+    assert not answer.unique_forces
+    assert answer.force_range.tolist() == [[0, None]]
+
+
+def test_a_proposal_that_overlaps_wherever_it_drifts_is_left_for_the_other_combinations() -> None:
+    # Nothing is stiff, and a free motion parts no contact that overlaps in the first proposal. The load is
+    # (1, 0, 1) - (1, -1, 0) / 2: the second contact slips back and carries it alone.
+    problem = cq.ContactProblem(
+        np.zeros((3, 3)),
+        [0.5, 0.5, 1.0],
+        [[0.0, 2.0, 1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0]],
+        [-1.0, -4.0, -4.0],
+        tangent=[[0.0, 0.0, 1.0], [1.0, -1.0, 0.0], [2.0, 2.0, 1.0]],
+        friction=[0.0, 0.5, 1.0],
+        slip_origin=[-3.0, -1.0, -5.0],
+    )
+    answer = cq.exact(problem)
+    assert list(answer.normal_force) == [0, 1, 0]
+    assert list(answer.friction_force.ravel()) == [0, F(-1, 2), 0]
+    assert list(answer.gap) == [1, 0, 0]

@@ -155,7 +155,7 @@ class ExactSolution(AnswerOf[Fractions, Fractions | None], ReadOnly):
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     rational: bool
     radius: Parts | None = field(repr=False)  # rounded up; None if rational
-    unique_forces: bool  # whether the contact forces are unique for this displacement
+    unique_forces: bool  # whether the forces of contacts and ties are unique for this displacement
     # (m, 2) the least and the largest value of each normal force over all forces of this displacement, None if
     # unbounded. If they are not unique, `normal_force` has the least sum of squares of all contact forces in the given
     # units without tension, and tie forces are then the least possible ones. Enclosed forces are unique: both ends are
@@ -221,8 +221,10 @@ def text(answer: ExactSolution) -> str:
 
 def remarks(answer: ExactSolution) -> Iterator[str]:
     """Yield further remarks on the answer."""
-    if not answer.unique_forces:
+    if any(low != high or low is None for low, high in answer.force_range):
         yield "contact forces are not unique: those of least norm, with the range of each"
+    elif not answer.unique_forces:
+        yield "forces are not unique, though the normal force of each contact is: those of least norm"
     if answer.equilibria is not None and answer.equilibria > 1:
         yield f"{answer.equilibria} equilibria at this load: one of them"
     elif answer.uniqueness:

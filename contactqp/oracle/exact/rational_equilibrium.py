@@ -162,7 +162,7 @@ class Balance:
 
     system: System
     forces: fmpq_mat
-    only: bool  # whether the contact forces are unique
+    only: bool  # whether the contact and tie forces are unique
     ranges: tuple[Range, ...]  # (m,) of the normal forces
 
 
@@ -267,7 +267,7 @@ def _least(system: System, start: fmpq_mat, directions: fmpq_mat, conditions: fm
         entries = [place for place, row in enumerate(part.directions.tolist()) if any(x != 0 for x in row)]
         for place, ends in zip(entries, part.ranges(entries), strict=True):
             ranges[place] = ends
-    only = all(low == high and low is not None for low, high in ranges)
+    only = not idle.ncols() and all(low == high and low is not None for low, high in ranges)
     return Balance(system, start, only, _laid_out(data, chosen, ranges))
 
 
@@ -352,8 +352,14 @@ def balanced(
     if solved is None or any(low == 0 for low, _ in (found.ranges[i] for i in found.system.combination.closed)):
         motions = _free_motions(data, found)
     if motions.ncols():
-        u = _rested(data, u, motions)
+        try:
+            u = _rested(data, u, motions)
+        except NoSolution:  # contacts without force overlap wherever the bodies drift
+            return None
         motions = _left_by_gaps(data, u, motions)
+        # With friction, contacts that slip or are open elsewhere may stick here, and share forces.
+        if data.frictional and (found := balance(data, u)) is None:
+            return None
     answer = found.system.answer(u, found.forces)
     if next(wrong(data, answer), None) is not None:
         return None
@@ -421,11 +427,11 @@ def settle_with_friction(data: RationalProblem, proposal: Proposal) -> SettledWi
     Unsupported
         In space, irrational slip directions; or the proposal fails and there are too many combinations.
     """
-    found = next((one for u in _proposed(data, proposal.solution) if (one := balanced(data, u)) is not None), None)
+    way = "the proposed combination of open, stick and slip"
+    found = next((one for u in _proposed(data, proposal.solution) if (one := balanced(data, u, way=way))), None)
     countable = data.width == 1 and data.contacts <= MOST_CONTACTS and data.unknowns <= MOST_UNKNOWNS
     if found is not None and not (countable and data.contacts <= LISTED):
-        settled = _called(found, "the proposed combination of open, stick and slip")
-        return SettledWithFriction(settled, None)
+        return SettledWithFriction(found, None)
     if not countable:
         where = "the slip directions of floats are no rational ones" if data.width > 1 else "its signs fail exactly"
         raise Unsupported(f"exact: the combination of open, stick and slip that floats propose is not proven: {where}")
@@ -434,17 +440,12 @@ def settle_with_friction(data: RationalProblem, proposal: Proposal) -> SettledWi
         return None
     count, continuum = len(states), any(one.continuum for one in states)
     if found is not None:
-        settled = _called(found, "the proposed combination of open, stick and slip")
-        return SettledWithFriction(settled, count, continuum)
+        return SettledWithFriction(found, count, continuum)
     for state in sorted(states, key=lambda state: _distance(state, proposal.solution)):
-        if (found := balanced(data, column(state.displacement))) is not None:
-            settled = _called(found, "all combinations of open, stick and slip")
-            return SettledWithFriction(settled, count, continuum)
+        way = "all combinations of open, stick and slip"
+        if (found := balanced(data, column(state.displacement), way=way)) is not None:
+            return SettledWithFriction(found, count, continuum)
     raise ArithmeticError("a listed equilibrium fails the exact proof")
-
-
-def _called(found: Settled, way: str) -> Settled:
-    return Settled(found.answer, found.unique_forces, found.ranges, found.motions, way)
 
 
 def _distance(state: ExactEquilibrium, solution: Solution | None) -> float:
