@@ -450,7 +450,7 @@ class MeasuredForces:
         failures = [self._failure(name) for name in FIGURES if not figures[name] <= tolerance]
         if not errors["natural_map"] <= tolerance:  # NaN if forces overflow
             failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
-        return _certificate({**errors, **figures}, tuple(failures), tolerance, self.slip, self.push)
+        return _certificate({**errors, **figures}, tuple(failures), tolerance, self.gap, self.slip, self.push)
 
     @cached_property
     def state(self) -> tuple[Mask, Mask, Array]:
@@ -479,11 +479,11 @@ def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
 
 def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
     none, figures = np.zeros(problem.contacts), dict.fromkeys(("natural_map", "siconos_error", *FIGURES), float("inf"))
-    return _certificate(figures, ("force: it is not finite",), tolerance, none, none)
+    return _certificate(figures, ("force: it is not finite",), tolerance, none + np.inf, none, none)
 
 
 def _certificate(
-    figures: dict[str, Any], failures: tuple[str, ...], tolerance: float, slip: Vector, push: Vector
+    figures: dict[str, Any], failures: tuple[str, ...], tolerance: float, gap: Vector, slip: Vector, push: Vector
 ) -> LocalCertificate:
     return LocalCertificate(
         **figures,
@@ -492,6 +492,7 @@ def _certificate(
         notes=(),
         tolerance=tolerance,
         passed=not failures,
+        gap_measure=gap,
         slip_measure=slip,
         force_measure=push,
     )

@@ -311,7 +311,7 @@ class LocalSolution(ReadOnly, Printed):
     force: Array  # (m, d) r, on the body, in the order (N, T1, T2)
     velocity: Array  # (m, d) u = W r + q + V l
     joint_force: Vector  # (p,) l
-    contact_status: NDArray[np.str_]  # (m,) of open, stick, slip, and closed without friction
+    contact_status: NDArray[np.str_]  # (m,) of open, grazing, stick, slip, and closed without friction
     certificate: LocalCertificate
     method: str  # the algorithm, and the convex method where it has one
     seconds: float
@@ -331,11 +331,12 @@ class LocalSolution(ReadOnly, Printed):
 
 
 def local_status(problem: LocalProblem, certificate: LocalCertificate) -> NDArray[np.str_]:
-    """Return "open", "stick", "slip", or "closed" without friction (m,), by the measures of the certificate."""
+    """Return the statuses (m,) by the measures of the certificate; "grazing" has neither normal velocity nor force."""
     push, tolerance = certificate.force_measure, certificate.tolerance
     sliding = np.where(certificate.slip_measure > tolerance, "slip", "stick")
     closed = np.where(problem.friction > 0, sliding, "closed")
-    return np.where(push > tolerance, closed, "open").astype("<U8")
+    apart = np.where(certificate.gap_measure > tolerance, "open", "grazing")
+    return np.where(push > tolerance, closed, apart).astype("<U8")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

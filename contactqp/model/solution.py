@@ -238,6 +238,7 @@ class LocalCertificate(ReadOnly, Printed):
     notes: tuple[str, ...]
     tolerance: float
     passed: bool
+    gap_measure: Vector = field(repr=False)  # (m,) |u_N| as a velocity
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
     # Bounds of `certify_local`, no part of the verdict (`contactqp.certificate.frictional_bounds`).

@@ -121,3 +121,21 @@ def test_the_last_digits_of_large_friction_may_turn_a_slip() -> None:
     assert cq.certify_local(problem, force).passed
     turned = np.array([[1.0, -1e-6], [1e-6, 1.0]]) @ force[1:]
     assert not cq.certify_local(problem, [1.0, *turned]).passed
+
+
+@pytest.mark.parametrize(("along", "status"), [(1e-30, "slip"), (1e-16, "grazing")])
+def test_a_contact_that_touches_is_not_open_however_small_its_force(along: float, status: str) -> None:
+    """u_N = r_N - 2 r_T + q_N = 0 with r_T = -0.3 r_N: r_N = -q_N / 1.6, beside slips of 1e-16 nothing, but no gap."""
+    problem = cq.LocalProblem([[1.0, -2.0], [-2.0, 4.0]], [-2e-31, along], 0.3, 2)
+    solution = cq.solve(problem)
+    np.testing.assert_allclose(solution.force[0, 0], 1.25e-31, rtol=1e-5)
+    assert solution.contact_status.tolist() == [status]
+    assert solution.certificate.passed
+
+
+def test_a_contact_without_velocity_and_force_grazes_and_one_that_parts_is_open() -> None:
+    W = np.diag([1.0, 1.0, 2.0, 1.0, 1.0, 1.0])
+    problem = cq.LocalProblem(W, [0.0, 1.0, -1.0, 0.0, 1e-3, 0.0], 0.3, 2)
+    solution = cq.solve(problem)
+    assert solution.contact_status.tolist() == ["grazing", "stick", "open"]
+    np.testing.assert_allclose(solution.force[:, 0], [0.0, 0.5, 0.0], rtol=1e-12)
