@@ -332,9 +332,10 @@ def _verdict(
     failures += measured.state.failures
     pressing = (found.force_measure > tolerance) & ~measured.grazing
     notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, pressing, measured.grazing, bounds))
-    if measured.supported.size:
+    if abs(answer.displacement) @ found.meeting > messages.MUCH_MOVED * bounds.energy_scale**2:
+        notes += tuple(messages.of_rounded_stiffness(problem, answer, bounds))
+    if measured.supported.size or measured.dependent:
         notes += messages.of_friction_on_supports(problem, measured.supported)
-    if measured.dependent:
         notes += messages.of_dependent_ties(problem, measured.dependent)
     claimed = bounds if failures else bounds.claimed(error_tolerance)
     return Certificate(
@@ -377,10 +378,8 @@ def _hidden_gaps(problem: ContactProblem, answer: Answer, found: Violations) -> 
 
 def _notes(problem: ContactProblem, pressing: Mask, grazing: Mask, bounds: Bounds) -> tuple[str, ...]:
     """Return the notes of a certificate: they explain and do not change the verdict."""
-    notes: list[str] = []
-    if grazing.any():
-        named = np.flatnonzero(grazing)[: messages.MOST_NAMED]
-        notes += messages.of_grazing([problem.contact_name(int(i)) for i in named])
+    graze = grazing.nonzero()[0][: messages.MOST_NAMED].tolist()
+    notes = list(messages.of_grazing([*map(problem.contact_name, graze)])) if graze else []
     if bounds.redundant and not problem.frictional:
         notes += messages.of_shared_forces(*other_forces(problem, pressing, grazing))
     if problem.asymmetry > 0:

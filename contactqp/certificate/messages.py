@@ -10,12 +10,15 @@ import numpy as np
 from contactqp.certificate.bounds import Bounds
 from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.measures import inner_forces
 from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
 # The most grazing contacts, and dependent ties, named in a note.
 MOST_NAMED = 8
+# Where |u|'|K||u| is more than this multiple of u'Ku, its last digits decide 1e-6 of the strain energy.
+MUCH_MOVED = 1e-6 / EPS
 # The reason why answers with unusable numbers have no bounds.
 NOT_FINITE, ABSURD_ANSWER = "the answer is not finite", "the answer is beyond all that the problem's numbers can make"
 
@@ -315,6 +318,22 @@ def of_rigid_motions(bounds: Bounds) -> str:
     taken = "the stiffness is taken to be zero along the rigid motions of the bodies: being rounded, it would make"
     unsure = "; whether it is rounding that resists them is not known: stated in near_null_space, they are exact"
     return f"{taken} {bounds.cleared:.2g} of the forces there{unsure if bounds.estimated else ''}"
+
+
+def of_rounded_stiffness(problem: ContactProblem, answer: Answer, bounds: Bounds) -> Iterator[str]:
+    """Yield a note where the last digits of the entries of K decide a part of the strain energy that would be refused.
+
+    Changes of all entries by their last digits change u'Ku by at most eps |u|'|K||u|. Rigid motions have other notes.
+    """
+    if not bounds.energy_scale > 0 or bounds.rigid_rounding > 0:
+        return
+    u = answer.displacement
+    moved = float(abs(u) @ inner_forces(problem, u)) / bounds.energy_scale**2
+    if moved > MUCH_MOVED:
+        yield (
+            f"the last digits of the entries of the stiffness may change the strain energy by {EPS * moved:.2g} "
+            "of itself: the bounds are those of the matrix as it is, not of what it was assembled from"
+        )
 
 
 def of_estimates(bounds: Bounds) -> Iterator[str]:

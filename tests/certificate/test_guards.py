@@ -73,3 +73,36 @@ def test_parts_without_stiffness_have_forces_of_their_own(unit: float) -> None:
         assert not cq.certify(problem, found.displacement, torn).passed
     rounded = found.normal_force * (1 + 1e-16 * np.array([1, -1, 1]))
     assert cq.certify(problem, found.displacement, rounded).passed
+
+
+def cantilever(nodes: np.ndarray) -> cq.ContactProblem:
+    """A beam of EI = 1 clamped at nodes[0], its tip loaded by 1 and far from a stop: it moves by L³/3."""
+    n = 2 * len(nodes)
+    K = np.zeros((n, n))
+    for e, h in enumerate(np.diff(nodes)):
+        own = slice(2 * e, 2 * e + 4)
+        K[own, own] += [
+            [12 / h**3, 6 / h**2, -12 / h**3, 6 / h**2],
+            [6 / h**2, 4 / h, -6 / h**2, 2 / h],
+            [-12 / h**3, -6 / h**2, 12 / h**3, -6 / h**2],
+            [6 / h**2, 2 / h, -6 / h**2, 4 / h],
+        ]
+    tip = np.eye(n - 2)[-2]
+    return cq.ContactProblem(K[2:, 2:], tip, [-tip], [100.0])
+
+
+@pytest.mark.parametrize("last", [1e-3, 1e-4, 5e-5])
+def test_a_note_says_how_much_of_the_answer_the_last_digits_of_the_stiffness_decide(last: float) -> None:
+    """Assembled in doubles, a short element hides the digits of a long one; bounds are those of the matrix."""
+    found = cq.solve(cantilever(np.array([0.0, 1.0, 2.0 - last, 2.0])))
+    (note,) = found.certificate.notes
+    assert "the last digits of the entries of the stiffness may change the strain energy by" in note
+    part = float(note.split(" by ")[1].split(" of ")[0])
+    off = abs(found.displacement[-2] - 8 / 3) / (8 / 3)
+    assert max(1e-7, 10 * found.certificate.energy_error) < off < part < 1e3 * off
+
+
+def test_elements_of_like_length_hide_no_digits() -> None:
+    found = cq.solve(cantilever(np.linspace(0.0, 2.0, 101)))
+    assert found.displacement[-2] == pytest.approx(8 / 3, rel=1e-7)
+    assert found.certificate.notes == ()
