@@ -17,34 +17,34 @@ from numpy.typing import ArrayLike
 from contactqp.analysis.gradients import (
     Bounded,
     Estimate,
-    energy_of_rates,
+    are_same,
     gradient,
+    may_be_bounded,
+    of_rates,
     on_entries,
     rate_of_energy,
     value_of,
+    why_unbounded,
 )  # fmt: skip
 from contactqp.analysis.rate_data import (
     FREE,
     REDUNDANT,
-    SAME,
     VECTORS,
     Direction,
+    NoAnswer,
     NoRates,
     Rates,
-    errors_of,
 )
 from contactqp.analysis.rates import Linearised
 from contactqp.analysis.slip_law import falls
-from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
 from contactqp.certificate.uniqueness import moved_by, unheld, unique_beside
 from contactqp.errors import InvalidProblem, shown
-from contactqp.linalg.condensation import condense
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_point
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
-from contactqp.model.solution import Answer, Solution
+from contactqp.model.solution import Solution
 
 # The quantities and parameters of derivatives.
 FORCES = ("normal_force", "friction_force", "tie_force")
@@ -52,16 +52,10 @@ QUANTITIES = ("displacement", *FORCES, "gap", "slip", "reaction", "energy")
 PARAMETERS = (*VECTORS, "stiffness", "rows")
 # The relative asymmetry up to which a direction of the stiffness counts as symmetric.
 SYMMETRIC = 1e-12
-# Reasons for a missing bound.
-IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
-UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
-SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
+# The reason for a missing bound.
 NEVER_CLOSES = "gradients of gaps and slips of contacts that never close have none"
-GRAZES = "bodies are free to move, and where they go decides on what grazes them"
-UNREFINED = "refinement does not take the rates beyond double precision"
 # Parameters in which the answer is linear while contacts keep their states.
 LINEAR = ("load", "gap", "tie_value", "slip_origin")
-_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()  # whether an answer with friction has bounds
 # The acting rows of answers, and answers on these only, for answers with idle rows or repeated ties.
 _ACTING: WeakKeyDictionary[Solution, ActingRows | None] = WeakKeyDictionary()
 _ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
@@ -71,11 +65,12 @@ _ON_ACTING: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()
 class Derivative(ReadOnly):
     """The rate of a quantity of an answer along a direction, in its units over those of the parameter.
 
-    `left` and `right` are along minus and plus the direction; `value` is both if they are equal, else None with a
-    `reason`. `reach` are the steps (back, ahead), not negative, within which no contact changes its state, None if the
-    answer is not linear along the direction, as for the stiffness and with slip in space. `bound` is the largest error
-    of each entry of the value, or of each side, for a proven answer, with the rounding allowance of certificates. An
-    answer with friction is proven at the first use, as by `contactqp.certify`.
+    `left` and `right` are along minus and plus the direction, None on a side that has no answer or no unique rate; with
+    friction neither is given where one is not unique. `value` is both if they are equal, else None with a `reason`.
+    `reach` are the steps (back, ahead), not negative, within which no contact changes its state, None if the answer is
+    not linear along the direction, as for the stiffness and with slip in space. `bound` is the largest error of each
+    entry of the value, or of the sides, for a proven answer, with the rounding allowance of certificates. An answer
+    with friction is proven at the first use, as by `contactqp.certify`.
     """
 
     value: Any
@@ -162,10 +157,10 @@ def jacobian(solution: Solution, of: str, with_respect_to: str, return_bound: bo
         linearised = _linearised(solution)
         adjoint = rows < size and not len(linearised.undecided) and with_respect_to != "friction"
         if adjoint and _why_not(linearised, of, with_respect_to) is None:
-            bounded, shape = return_bound and _may_be_bounded(linearised), np.shape(value_of(solution, of))
+            bounded, shape = return_bound and may_be_bounded(linearised), np.shape(value_of(solution, of))
             weights = (one.reshape(shape) for one in np.eye(rows))
             found = [gradient(linearised, of, one, with_respect_to, bounded) for one in weights]
-            reasons = [_why_unbounded(linearised, one.error) if return_bound else "" for one in found]
+            reasons = [why_unbounded(linearised, one.error) if return_bound else "" for one in found]
             pair = Bounded.of_rows([(one.value, one.error) for one in found], reasons, (rows, size))
             return pair if return_bound else pair[0]
     columns = [derivative(solution, of, with_respect_to, unit.reshape(np.shape(parameter))) for unit in np.eye(size)]
@@ -222,12 +217,12 @@ def pullback(solution: Solution, of: str, weights: ArrayLike, with_respect_to: s
         reason = reason or linearised.borders.without_direction(np.ones(solution.problem.contacts))
     if reason is not None:
         raise InvalidProblem(f"pullback: {reason}")
-    bounded = return_bound and _may_be_bounded(linearised)
+    bounded = return_bound and may_be_bounded(linearised)
     found = gradient(linearised, of, given, with_respect_to, bounded)
     if not return_bound:
         return read_only(found.value)
     bound = None if found.error is None else read_only(found.error)
-    return Bounded.of(read_only(found.value), bound, _why_unbounded(linearised, bound))
+    return Bounded.of(read_only(found.value), bound, why_unbounded(linearised, bound))
 
 
 def _linearised(solution: Solution) -> Linearised:
@@ -263,11 +258,9 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     direction = rows.part(parameter, getattr(given, parameter))
     along = read_direction(reduced, linearised.push, parameter, direction, linearised.closed)
     found = _along(linearised, of, along, parameter)
-    if found.reach is not None and parameter == "gap":  # a row of zeros with zero gap has no answer for a smaller gap
-        limits = solution.problem.gap[rows.idle_contacts], given.gap[rows.idle_contacts]
-        back, ahead = (min(falls(limits[0], sign * limits[1]), default=np.inf) for sign in (-1.0, 1.0))
-        found = replace(found, reach=(min(found.reach[0], back), min(found.reach[1], ahead)))
-    if found.left is None or of not in (*FORCES, "gap", "slip"):
+    if parameter == "gap":  # a row of zeros with zero gap has no answer for a smaller gap
+        found = _within(found, rows, given)
+    if (found.left is None and found.right is None) or of not in (*FORCES, "gap", "slip"):
         return found
     names = ("value", "left", "right", "bound")
     parts: dict[str, Any] = {
@@ -276,20 +269,26 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
     if of in FORCES:
         return replace(found, **parts)
     moved = _along(linearised, "displacement", along, parameter)
-    if moved.left is None:
+    sides = [name for name in ("left", "right") if parts[name] is not None and getattr(moved, name) is not None]
+    if not sides:
         return replace(found, value=None, left=None, right=None, exists=False, bound=None, reason=moved.reason)
     matrix, own = (
         (solution.problem.tangent, -given.slip_origin) if of == "slip" else (-solution.problem.normal, given.whole_gap)
     )
     assert matrix is not None
     idle = rows.idle_contacts
-    for name, u in (("left", moved.left), ("right", moved.right)):
-        parts[name][idle] = (own + (matrix @ u).reshape(own.shape))[idle]
-    same = found.exists and (moved.exists or np.array_equal(parts["left"][idle], parts["right"][idle]))
+    parts |= {name: None for name in ("left", "right") if name not in sides}
+    for name in sides:
+        parts[name][idle] = (own + (matrix @ getattr(moved, name)).reshape(own.shape))[idle]
+    same = found.exists and (
+        moved.exists or (len(sides) == 2 and np.array_equal(parts["left"][idle], parts["right"][idle]))
+    )
     if parts["bound"] is None or moved.bound is None:
         parts |= dict(bound=None, bound_reason=found.bound_reason or moved.bound_reason)
     else:
-        size = abs(own) + (abs(matrix) @ np.maximum(abs(moved.left), abs(moved.right))).reshape(own.shape)
+        size = abs(own) + (abs(matrix) @ np.max([abs(getattr(moved, name)) for name in sides], axis=0)).reshape(
+            own.shape
+        )
         off = (abs(matrix) @ moved.bound).reshape(own.shape)
         if given.rows is not None and of == "gap":  # the change of the row is a product with the answer
             known = linearised.extended_answer
@@ -298,7 +297,21 @@ def _on_acting(rows: ActingRows, solution: Solution, of: str, parameter: str, gi
             off = off + abs(given.rows) @ known.bound.displacement
             size = size + abs(given.rows) @ abs(solution.displacement)
         parts["bound"][idle] = (off + EPS * (solution.problem.dimension + 3) * size)[idle]
-    return replace(found, **(parts | dict(value=parts["right"] if same else None, exists=same)))
+    reason = found.reason or ("" if same else moved.reason)
+    return replace(found, **(parts | dict(value=parts["right"] if same else None, exists=same, reason=reason)))
+
+
+def _within(found: Derivative, rows: ActingRows, given: Direction) -> Derivative:
+    """Return a derivative as far as rows of zeros have gaps along a direction, None on a side where they have not."""
+    gap, change = rows.whole.gap[rows.idle_contacts], given.gap[rows.idle_contacts]
+    steps = [min(falls(gap, sign * change), default=np.inf) for sign in (-1.0, 1.0)]
+    if found.reach is not None:
+        found = replace(found, reach=(min(found.reach[0], steps[0]), min(found.reach[1], steps[1])))
+    left, right = (None if step == 0 else one for step, one in zip(steps, (found.left, found.right), strict=True))
+    if min(steps) > 0:
+        return found
+    reason = f"towards {'minus' if steps[0] == 0 else 'plus'} the direction: {rows.without_answer('gap')}"
+    return replace(found, value=None, left=left, right=right, exists=False, reason=reason)
 
 
 def _pullback_on_acting(rows: ActingRows, solution: Solution, of: str, weights: Array, parameter: str) -> Bounded:
@@ -342,32 +355,6 @@ def _jacobian_on_acting(rows: ActingRows, solution: Solution, names: tuple[str, 
     return Bounded.of(whole[0], whole[1], pair.bound_reason) if return_bound else whole[0]
 
 
-def _may_be_bounded(linearised: Linearised, shared: bool = False) -> bool:
-    """Return whether errors have bounds: the answer is proven, and with shared forces of friction separately."""
-    if linearised.shares is not None and (shared or linearised.system is not None):
-        return linearised.system is not None and linearised.extended_answer is not None
-    return linearised.has_bounds and (_is_proven(linearised.solution) or linearised.stands)
-
-
-def _why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> str:
-    """Return why rates, possibly of shared forces, have no bound; empty if they have one."""
-    if bound is not None:
-        return ""
-    if linearised.shares is not None and (shared or linearised.system is not None):
-        return SHARED
-    if not (_is_proven(linearised.solution) or linearised.stands):
-        return ": ".join(["the answer is not proven", *linearised.solution.certificate.reasons[:1]])
-    if linearised.is_sparse:
-        return "bounds follow from condensed contacts, and these are too many"
-    if linearised.turns and linearised.sure:
-        return IN_SPACE if linearised.system is None else UNTOLD
-    if linearised.redundant or shared:
-        return SHARED
-    if linearised.has_bounds:
-        return GRAZES if linearised.solution.free_motions else UNREFINED
-    return f"{linearised.at_border()}, within what refinement leaves of zero, and may be beside the border"
-
-
 def _refuse_unknown(
     solution: Solution, of: str, with_respect_to: str, parameters: tuple[str, ...] = PARAMETERS
 ) -> None:
@@ -403,52 +390,41 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     frictional = linearised.problem.frictional
     if of == "energy" and not frictional and not (linearised.redundant and parameter in ("rows", "gap", "tie_value")):
         rate, error = rate_of_energy(linearised, direction)
-        bound = error if _may_be_bounded(linearised) else None
-        return Derivative(rate, rate, rate, True, bound, bound_reason=_why_unbounded(linearised, bound))
-    try:
-        back, ahead = linearised.sides(direction)
-    except NoRates as none:
-        return Derivative(None, None, None, False, reason=str(none))
-    if of in FORCES and (back.shared or ahead.shared) and not linearised.only(of):
-        return Derivative(None, None, None, False, reason=REDUNDANT)
-    if not unique_beside(back.motions + ahead.motions, linearised.problem, of):
-        return Derivative(None, None, None, False, reason=FREE)
-    left, right = (_of_rates(linearised, of, rates, direction)[0] for rates in (back, ahead))
-    same = linearised.scales.same("displacement" if of == "energy" else of, back, ahead)
-    if of == "energy" and not same:
-        meet = abs(value_of(linearised.solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
-        same = abs(left - right) <= SAME * (meet + abs(linearised.solution.displacement) @ abs(direction.load))
+        bound = error if may_be_bounded(linearised) else None
+        return Derivative(rate, rate, rate, True, bound, bound_reason=why_unbounded(linearised, bound))
+    found = [_unique(linearised, of, side) for side in linearised.sides(direction)]
+    sides = [side for side in found if isinstance(side, Rates)]
+    missing = [side for side in found if isinstance(side, NoRates)]
+    # With friction, what is not unique on one side may not be so on the other, where other states may come, too.
+    if not sides or (frictional and not all(isinstance(side, NoAnswer) for side in missing)):
+        return Derivative(None, None, None, False, reason=str(missing[-1]))
+    left, right = (of_rates(linearised, of, side, direction)[0] if isinstance(side, Rates) else None for side in found)
+    same = len(sides) == 2 and are_same(linearised, of, (sides[0], sides[1]), direction)
     reason = "" if same else f"the two sides differ: {linearised.at_border() or REDUNDANT}"
-    reach, shared = None, back.shared or ahead.shared
+    for sign, side in zip(("minus", "plus"), found, strict=True):
+        reason = f"towards {sign} the direction: {side}" if isinstance(side, NoRates) else reason
+    reach, shared = None, any(side.shared for side in sides)
     if parameter in LINEAR and linearised.has_events:
-        steps = linearised.events(back, -1.0), linearised.events(ahead, 1.0)
-        reach = float(min(steps[0], default=np.inf)), float(min(steps[1], default=np.inf))
-    bound, seen = None, not direction.by_answer or all(rates.off is not None for rates in (back, ahead))
-    if seen and _may_be_bounded(linearised, shared):
-        both = [_of_rates(linearised, of, rates, direction)[1] for rates in (back, ahead)]
-        bound = None if any(one is None for one in both) else read_only(np.maximum(*both))
-    why = _why_unbounded(linearised, bound, shared)
+        back, ahead = (
+            min(linearised.events(side, sign), default=np.inf) if isinstance(side, Rates) else 0.0
+            for sign, side in zip((-1.0, 1.0), found, strict=True)
+        )
+        reach = float(back), float(ahead)
+    bound, seen = None, not direction.by_answer or all(side.off is not None for side in sides)
+    if seen and may_be_bounded(linearised, shared):
+        errors = [of_rates(linearised, of, side, direction)[1] for side in sides]
+        bound = None if any(one is None for one in errors) else read_only(np.max(errors, axis=0))
+    why = why_unbounded(linearised, bound, shared)
     return Derivative(right if same else None, left, right, same, bound, reach, reason, why)
 
 
-def _of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:
-    """Return the rate of a quantity and its error, None if unknown."""
-    if of != "energy":
-        return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)
-    return energy_of_rates(linearised, rates, direction)
-
-
-def _is_proven(solution: Solution) -> bool:
-    """Return whether errors of an answer are bounded; an answer with friction is proven at the first call."""
-    problem, certificate = solution.problem, solution.certificate
-    if certificate.proven or not problem.frictional:
-        return certificate.proven
-    if solution not in _PROVEN:
-        forces = solution.normal_force, solution.friction_force, solution.tie_force
-        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
-        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
-        _PROVEN[solution] = found.proven
-    return _PROVEN[solution]
+def _unique(linearised: Linearised, of: str, side: Rates | NoRates) -> Rates | NoRates:
+    """Return the rates on a side where those of a quantity are unique, otherwise why there are none."""
+    if isinstance(side, NoRates):
+        return side
+    if of in FORCES and side.shared and not linearised.only(of):
+        return NoRates(REDUNDANT)
+    return side if unique_beside(side.motions, linearised.problem, of) else NoRates(FREE)
 
 
 def read_direction(

@@ -28,6 +28,7 @@ from contactqp.analysis.rate_data import (
     SAME,
     SINGULAR,
     Direction,
+    NoAnswer,
     NoRates,
     Parts,
     Rates,
@@ -203,10 +204,9 @@ class FrictionSharing:
     def sides(
         self, direction: Direction, system: RateSystem | None, borders: Borders,
         system_of: Callable[[Status], RateSystem], rates_of: Callable[[RateSystem, Direction], Rates],
-    ) -> tuple[Rates, Rates]:  # fmt: skip
-        """Return the rates along minus and plus a direction, with one distribution of forces.
-
-        Raises NoRates: there are none, or several.
+    ) -> tuple[Rates | NoRates, Rates | NoRates]:  # fmt: skip
+        """Return the rates along minus and plus a direction, with one distribution of forces, or in their place why
+        there are none, or several.
 
         Parameters
         ----------
@@ -215,15 +215,11 @@ class FrictionSharing:
         system_of, rates_of : return the system of some states, and its rates along a direction
         """
         if not self.turns_alike(direction, self._status):
-            raise NoRates(REDUNDANT)
+            return NoRates(REDUNDANT), NoRates(REDUNDANT)
         if system is not None and not (direction.moves or direction.slip_origin.any()):
-            ahead = replace(rates_of(system, direction), shared=True)
-            return ahead, ahead
+            return on_sides(lambda along: replace(rates_of(system, along), shared=True), direction, False)
         others = replace(borders, undecided=np.setdiff1d(borders.undecided, self.members))
-        back, ahead = (
-            self.continued(along, others, system_of, rates_of) for along in (direction.reversed(), direction)
-        )
-        return back.reversed(), ahead
+        return on_sides(lambda along: self.continued(along, others, system_of, rates_of), direction)
 
     def continued(
         self, along: Direction, borders: Borders, system_of: Callable[[Status], RateSystem],
@@ -259,7 +255,7 @@ class FrictionSharing:
         if not all(self.scales.same("displacement", rates, found[0]) for rates in found):
             raise NoRates(f"several rates continue the answer: {REDUNDANT}")
         if not found:
-            raise NoRates("no rates continue the answer: contacts that touch, and ties, cannot change so")
+            raise NoAnswer("no rates continue the answer: contacts that touch, and ties, cannot change so")
         furthest = max(found, key=self.reach)
         if any(rates.bound is None for rates in found):
             return replace(furthest, shared=True, bound=None, off=None)
@@ -338,6 +334,31 @@ def states_hold(problem: ContactProblem, status: Status, known: Solved, slip: Ar
     return bool(np.all(pushes) and np.all(room[sticks] > 0) and np.all(onward))
 
 
+def on_sides(
+    towards: Callable[[Direction], Rates], direction: Direction, one_sided: bool = True
+) -> tuple[Rates | NoRates, Rates | NoRates]:
+    """Return the rates along minus and plus a direction, or in their place why there are none.
+
+    Parameters
+    ----------
+    towards : returns the rates on the plus side of a direction, or raises NoRates
+    direction : the direction
+    one_sided : whether the sides may differ
+    """
+
+    def attempted(along: Direction) -> Rates | NoRates:
+        try:
+            return towards(along)
+        except NoRates as none:
+            return none
+
+    ahead = attempted(direction)
+    if not one_sided:
+        return ahead, ahead
+    back = attempted(direction.reversed())
+    return back.reversed() if isinstance(back, Rates) else back, ahead
+
+
 def among_states(
     borders: Borders, direction: Direction, system_of: Callable[..., RateSystem],
     rates_of: Callable[[RateSystem, Direction], Rates],
@@ -366,7 +387,8 @@ def among_states(
     if len(holding) != 1:
         none = "no rates were found that continue" if len(borders.free) else "no rates continue"
         count = "several rates continue" if holding else none
-        raise NoRates(f"{count} the answer: {named(borders.problem, borders.undecided)} may change its state")
+        missing = NoRates if holding or len(borders.free) else NoAnswer
+        raise missing(f"{count} the answer: {named(borders.problem, borders.undecided)} may change its state")
     return holding[0]
 
 

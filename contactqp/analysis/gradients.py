@@ -14,22 +14,33 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import ROUNDED, SINGULAR, Direction, NoRates, Parts, Rates
+from contactqp.analysis.rate_data import ROUNDED, SAME, SINGULAR, Direction, NoRates, Parts, Rates, errors_of
 from contactqp.analysis.rates import Linearised
 from contactqp.analysis.slip_law import times
+from contactqp.certificate.certificate import certificate_of
 from contactqp.errors import InvalidProblem
+from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Solution
+from contactqp.model.problem_data import read_only
+from contactqp.model.solution import Answer, Solution
 
 # Entries of a pattern computed at a time, so that the data fit into the cache.
 AT_ONCE = 2**14
+# Reasons for a missing bound.
+IN_SPACE = "contacts are at the border of two states in space, where errors of directions of slip are not known"
+UNTOLD = "a slip in space is so small, or its force, that rounding of the answer turns its direction"
+SHARED = "contacts, or ties, share forces, and which of them carry the changes is not told from rounding"
+GRAZES = "bodies are free to move, and where they go decides on what grazes them"
+UNREFINED = "refinement does not take the rates beyond double precision"
+_PROVEN: WeakKeyDictionary[Solution, bool] = WeakKeyDictionary()  # whether an answer with friction has bounds
 
 
 class Bounded(tuple[Any, Any]):
@@ -329,6 +340,38 @@ def energy_of_rates(linearised: Linearised, rates: Rates, direction: Direction) 
     )  # fmt: skip
 
 
+def of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction) -> tuple[Any, Any]:
+    """Return the rate of a quantity and its error, None if unknown.
+
+    Parameters
+    ----------
+    linearised, of : the answer, and the name of the quantity
+    rates, direction : the rates of the answer, and what they are along
+    """
+    if of != "energy":
+        return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)
+    return energy_of_rates(linearised, rates, direction)
+
+
+def are_same(linearised: Linearised, of: str, sides: tuple[Rates, Rates], direction: Direction) -> bool:
+    """Return whether a quantity has the same rates on both sides of a direction, but for rounding.
+
+    Parameters
+    ----------
+    linearised, of : the answer, and the name of the quantity
+    sides, direction : the rates of the answer towards minus and plus the direction, and the direction
+    """
+    back, ahead = sides
+    if linearised.scales.same("displacement" if of == "energy" else of, back, ahead):
+        return True
+    if of != "energy":
+        return False
+    solution = linearised.solution
+    size = abs(value_of(solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
+    left, right = (energy_of_rates(linearised, side, direction)[0] for side in sides)
+    return bool(abs(left - right) <= SAME * (size + abs(solution.displacement) @ abs(direction.load)))
+
+
 def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:
     """Return a sum of products of vectors with errors, (a, error, b, error), and its error."""
     total, size, error = 0.0, 0.0, 0.0
@@ -395,3 +438,42 @@ def _products(rows: Any, pairs: list[tuple[Vector, Vector]]) -> Any:
             own *= np.repeat(left[first:last], counts[first:last])
             entries[part] += own
     return sp.csr_array((entries, rows.indices, rows.indptr), shape=rows.shape)
+
+
+def may_be_bounded(linearised: Linearised, shared: bool = False) -> bool:
+    """Return whether errors have bounds: the answer is proven, and with shared forces of friction separately."""
+    if linearised.shares is not None and (shared or linearised.system is not None):
+        return linearised.system is not None and linearised.extended_answer is not None
+    return linearised.has_bounds and (_is_proven(linearised.solution) or linearised.stands)
+
+
+def why_unbounded(linearised: Linearised, bound: Any, shared: bool = False) -> str:
+    """Return why rates, possibly of shared forces, have no bound; empty if they have one."""
+    if bound is not None:
+        return ""
+    if linearised.shares is not None and (shared or linearised.system is not None):
+        return SHARED
+    if not (_is_proven(linearised.solution) or linearised.stands):
+        return ": ".join(["the answer is not proven", *linearised.solution.certificate.reasons[:1]])
+    if linearised.is_sparse:
+        return "bounds follow from condensed contacts, and these are too many"
+    if linearised.turns and linearised.sure:
+        return IN_SPACE if linearised.system is None else UNTOLD
+    if linearised.redundant or shared:
+        return SHARED
+    if linearised.has_bounds:
+        return GRAZES if linearised.solution.free_motions else UNREFINED
+    return f"{linearised.at_border()}, within what refinement leaves of zero, and may be beside the border"
+
+
+def _is_proven(solution: Solution) -> bool:
+    """Return whether errors of an answer are bounded; an answer with friction is proven at the first call."""
+    problem, certificate = solution.problem, solution.certificate
+    if certificate.proven or not problem.frictional:
+        return certificate.proven
+    if solution not in _PROVEN:
+        forces = solution.normal_force, solution.friction_force, solution.tie_force
+        limits = certificate.tolerance, certificate.error_tolerance, condense(problem)
+        found = certificate_of(problem, Answer(solution.displacement, *forces), *limits, prove_friction=True)
+        _PROVEN[solution] = found.proven
+    return _PROVEN[solution]

@@ -39,6 +39,10 @@ class NoRates(Exception):
     """Raised if there are no rates on a side, with the reason."""
 
 
+class NoAnswer(NoRates):
+    """Raised if there is no answer on a side, with the reason."""
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
     """Data or a solution with parts for unknowns (n,), contacts (m,), tangents (m, d-1) and ties (k,)."""

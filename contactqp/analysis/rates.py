@@ -18,9 +18,8 @@ load.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -35,7 +34,7 @@ from contactqp.analysis.border_states import (
     seen_states,
     sticking_at_bound,
 )  # fmt: skip
-from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, states_hold
+from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, on_sides, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
     SAME,
@@ -308,28 +307,24 @@ class Linearised:
         in_one_way = alone and begin_in_one_way(self.problem, free, others, self.status)
         return None if in_one_way else f"{named(self.problem, free)} {IN_SPACE}"
 
-    def sides(self, direction: Direction) -> tuple[Rates, Rates]:
-        """Return the rates on the minus and plus side of a direction.
-
-        Raises
-        ------
-        NoRates
-            There are none on a side, or several.
-        """
-        if self.shares is not None:
-            with suppress(NoRates):  # at a border unique forces have rates; otherwise states decide
-                if self.system is None:
-                    return self._among_states(direction.reversed()).reversed(), self._among_states(direction)
-            return self.shares.sides(direction, self.system, self.borders, self._system, self._in_states)
-        shifted = self._is_shifted(direction)
-        if self.system is not None and not shifted:
-            ahead = self._in_states(self.system, direction)
-            return ahead, self._carried(ahead, direction) if self.redundant else ahead
+    def sides(self, direction: Direction) -> tuple[Rates | NoRates, Rates | NoRates]:
+        """Return the rates on the minus and plus side of a direction, or in their place why there are none."""
         towards = self._among_states if self.problem.frictional else self._by_problem
-        ahead = towards(direction)
-        if len(self.undecided) or shifted:
-            return towards(direction.reversed()).reversed(), ahead
-        return ahead, ahead
+        if self.shares is not None:
+            # At a border unique forces have rates; otherwise states decide.
+            unique = on_sides(towards, direction) if self.system is None else None
+            if unique and all(isinstance(one, Rates) for one in unique):
+                return unique
+            shared = self.shares.sides(direction, self.system, self.borders, self._system, self._in_states)
+            back, ahead = (
+                two if isinstance(one, NoRates) and isinstance(two, Rates) else one
+                for one, two in zip(shared, unique or shared, strict=True)
+            )
+            return back, ahead
+        if self.system is not None and not self._is_shifted(direction):
+            back, ahead = on_sides(partial(self._in_states, self.system), direction, False)
+            return self._carried(back, direction) if self.redundant and isinstance(back, Rates) else back, ahead
+        return on_sides(towards, direction, bool(len(self.undecided)) or self._is_shifted(direction))
 
     def _is_shifted(self, direction: Direction) -> bool:
         """Return whether the distribution of shared forces changes."""

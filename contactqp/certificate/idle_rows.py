@@ -180,6 +180,8 @@ class ActingRows:
         elif name not in ("gap", "rows") or (name == "rows" and values is None):
             return ""
         touched = [i for i in idle.tolist() if values is None or abs(values[[i]]).sum() > 0]
+        if name == "gap" and values is not None and (np.all(values[idle] >= 0) or np.all(values[idle] <= 0)):
+            return ""  # towards one side there is an answer
         return f"{called(touched[0])} acts on nothing that moves and {text}" if touched else ""
 
     def solution(self, found: Any) -> Any:

@@ -72,7 +72,7 @@ def drawn(rng: np.random.Generator, grazes: bool) -> tuple[cq.ContactProblem, An
 @pytest.mark.parametrize("problems", [4, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grazes", [False, True])
 def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
-    rng, two_sided, seen, bounded = np.random.default_rng(27), 0, 0, 0
+    rng, one_sided, two_sided, seen, bounded = np.random.default_rng(27), 0, 0, 0, 0
     for _ in range(problems):
         problem, data = drawn(rng, grazes)
         solution, n, m = cq.solve(problem), problem.dimension, problem.contacts
@@ -85,24 +85,28 @@ def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
             along = tuple(direction if i == place else part for i, part in enumerate(none))
             for of, which in (("displacement", 0), ("normal_force", 1)):
                 found = solution.derivative(of, name, direction.astype(float))
-                if found.right is None:
-                    if "cannot change" in found.reason:  # towards one side no displacement is within the gaps
-                        with pytest.raises(AssertionError, match="no set holds"):
-                            [rate(data, along, sign) for sign in (1, -1)]
+                if found.left is None and found.right is None:
                     assert "redundant" in found.reason or "cannot change" in found.reason
                     continue
                 seen += 1
-                right, left = (rate(data, along, sign)[which] for sign in (1, -1))
+                truths = []
+                for sign, side in ((1, found.right), (-1, found.left)):
+                    if side is None and "cannot change" in found.reason:  # no displacement is within the gaps
+                        one_sided += 1
+                        with pytest.raises(AssertionError, match="no set holds"):
+                            rate(data, along, sign)
+                    elif side is not None:
+                        truths.append((rate(data, along, sign)[which], side))
                 # Along a stiffness the answer is not linear: a step leaves some of its curvature.
-                near = (1e-9 if name != "stiffness" else 1e-6) * max(1.0, np.max(abs(right)), np.max(abs(left)))
-                assert np.max(abs(found.right - right)) <= near
-                assert np.max(abs(found.left - left)) <= near
-                assert found.exists == bool(np.max(abs(left - right)) <= near)
+                near = (1e-9 if name != "stiffness" else 1e-6) * max(1.0, *(np.max(abs(one)) for one, _ in truths))
+                assert all(np.max(abs(one - side)) <= near for one, side in truths)
+                same = len(truths) == 2 and bool(np.max(abs(truths[0][0] - truths[1][0])) <= near)
+                assert found.exists == same
                 two_sided += not found.exists
                 if found.bound is not None and name != "stiffness":
                     bounded += 1
-                    assert np.all(abs(found.right - right) <= found.bound)
-                    assert np.all(abs(found.left - left) <= found.bound)
+                    assert all(np.all(abs(one - side) <= found.bound) for one, side in truths)
+    assert one_sided >= (problems // 20 if grazes else 0)
     assert seen >= 5 * problems // 3
     assert bounded >= seen // 3
     assert (two_sided >= problems // 2) == grazes
@@ -352,9 +356,9 @@ def test_redundant_contacts_may_set_free_what_they_hold() -> None:
     problem = cq.ContactProblem(seen, [-1.0, 0.0, 0.0], walls, [0.0, 0.0, 0.0])
     solution, exact = cq.solve(problem), cq.exact(problem)
     for of in ("displacement", "gap"):
-        rate = solution.derivative(of, "gap", [0.0, 0.0, -1.0])
-        assert rate.right is None
-        assert rate.reason == exact.derivative(of, "gap", [0.0, 0.0, -1.0]).reason
+        rate, truth = (one.derivative(of, "gap", [0.0, 0.0, -1.0]) for one in (solution, exact))
+        assert (rate.right, rate.reason) == (None, truth.reason)
+        assert np.array_equal(rate.left, truth.left.astype(float))
     energy = solution.derivative("energy", "gap", [0.0, 0.0, -1.0])
     assert (energy.left, energy.right) == (0.0, 1.0)
     sinks = solution.derivative("displacement", "gap", [1.0, 1.0, 1.0])

@@ -134,6 +134,8 @@ def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not(border: bo
                 if found.bound is None or true.right is None:
                     continue
                 for rates, exactly in ((found.left, true.left), (found.right, true.right)):
+                    if rates is None or exactly is None:
+                        continue
                     for one, other, bound in zip(*map(np.ravel, (rates, exactly, found.bound)), strict=True):
                         error = abs(Fraction(float(one)) - Fraction(other))
                         assert error <= Fraction(float(bound)), (of, name)

@@ -145,3 +145,39 @@ def test_a_row_of_zeros_that_its_gap_or_its_change_would_close_is_looked_at() ->
     with pytest.raises(cq.InvalidProblem, match="contact 1 acts on nothing"):
         touching.pullback("displacement", [1.0], "gap")
     assert touching.pullback("displacement", [1.0], "rows").toarray().tolist() == [[0.0], [0.0]]
+
+
+BETWEEN_WALLS = cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [0.0, 0.0])
+PRESSED = cq.ContactProblem([[2.0]], [3.0], [[1.0], [0.0], [0.0]], [1.0, 0.0, 0.5])  # beside rows of zeros
+
+
+@pytest.mark.parametrize(
+    ("problem", "direction", "missing"),
+    [
+        (BETWEEN_WALLS, [1.0, 0.0], "left"),
+        (BETWEEN_WALLS, [-3.0, 1.0], "right"),
+        (BETWEEN_WALLS.replace(tangent=[[0.0], [0.0]], friction=0.3), [1.0, 0.0], "left"),
+        (PRESSED, [1.0, 1.0, -1.0], "left"),
+        (PRESSED, [1.0, -1.0, 0.0], "right"),
+        (PRESSED.replace(tangent=[[0.0]] * 3, friction=0.3), [1.0, -1.0, 0.0], "right"),
+    ],
+)
+def test_a_side_without_an_answer_leaves_the_other_its_rate(
+    problem: cq.ContactProblem, direction: list[float], missing: str
+) -> None:
+    """Walls that close up leave no room, nor does a row of zeros with a negative gap: there is no answer beyond."""
+    solution, exact = cq.solve(problem), cq.exact(problem)
+    step = Fraction(1, 8) * (-1 if missing == "left" else 1)
+    with pytest.raises(cq.NoEquilibrium):
+        cq.exact(problem.replace(gap=problem.gap + float(step) * np.array(direction)))
+    beyond = cq.exact(problem.replace(gap=problem.gap - float(step) * np.array(direction)))
+    for of in ("displacement", "gap"):
+        found, truth = (one.derivative(of, "gap", direction) for one in (solution, exact))
+        given = "left" if missing == "right" else "right"
+        rate = (getattr(beyond, of) - getattr(exact, of)) / -step
+        for one in (found, truth):
+            assert (one.value, getattr(one, missing), one.exists) == (None, None, False)
+            assert np.array_equal(getattr(one, given).astype(float), rate.astype(float)), (of, one)
+            assert one.reach is None or one.reach[missing == "right"] == 0.0
+        sides = {"left": "minus", "right": "plus"}
+        assert found.reason.startswith(f"towards {sides[missing]} the direction: ")

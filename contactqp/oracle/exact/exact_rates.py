@@ -61,8 +61,6 @@ FREE = "bodies are free to move, and their displacements are not unique"
 REDUNDANT = "contacts that touch, or ties, are redundant, and their forces are not unique"
 SINGULAR = "in a combination of states that may come the rates are not unique"
 SMOOTH = "no contact has friction: rates by coefficients are those of problems that have some"
-
-
 # States of all contacts, and rates of the data.
 States: TypeAlias = tuple[int, ...]
 Along: TypeAlias = dict[str, fmpq_mat]
@@ -89,13 +87,15 @@ def exact_derivative(answer: ExactSolution, of: str, with_respect_to: str, direc
     exact = _ExactRates(answer)
     along = exact.read(with_respect_to, direction)
     ahead, back = (exact.rates(of, {name: sign * part for name, part in along.items()}) for sign in (1, -1))
-    if isinstance(ahead, str) or isinstance(back, str):
-        return ExactDerivative(None, None, None, False, ahead if isinstance(ahead, str) else str(back))
-    left, right, same = -back[0], ahead[0], bool(np.all(ahead[0] == -back[0]))
+    if isinstance(ahead, str) and isinstance(back, str):
+        return ExactDerivative(None, None, None, False, ahead)
+    left, right = None if isinstance(back, str) else -back[0], None if isinstance(ahead, str) else ahead[0]
+    same = left is not None and right is not None and bool(np.all(left == right))
     reason = "" if same else "the two sides differ: contacts are at the border of two states"
-    reach = None
-    if with_respect_to in LINEAR and not (ahead[1] is None or back[1] is None):
-        reach = back[1], ahead[1]
+    for sign, side in (("minus", back), ("plus", ahead)):
+        reason = f"towards {sign} the direction: {side}" if isinstance(side, str) else reason
+    before, after = (0.0 if isinstance(side, str) else side[1] for side in (back, ahead))
+    reach = None if with_respect_to not in LINEAR or before is None or after is None else (before, after)
     return ExactDerivative(right if same else None, left, right, same, reason, reach)
 
 

@@ -127,6 +127,8 @@ class ExactEvent:
 class ExactDerivative:
     """Rates in Fractions along minus and plus a direction; `value` is both if they are equal, else None.
 
+    A side without an answer, or without a unique rate, is None.
+
     `reach` are the steps (back, ahead) within which no contact changes its state, infinity if none ever does, None if
     the answer is not linear along the direction. If forces are not unique, these are the steps within which all
     touching contacts can exert the required force.
