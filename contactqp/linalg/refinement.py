@@ -91,7 +91,7 @@ def answer_on(
     condensation : that of the problem
     closed : (q,) array of int, B
     start : where refinement begins; free motions stay as they are there
-    residual : those of the start, where they are known; of use where it has no force but on the closed contacts
+    residual : those of the start, where they are known; of use where it has no friction, and no force on open contacts
     caution : refinement goes on until this many times what it still has to do is negligible
     at_rest : whether, without a start, free motions take the displacement to its least norm within the gaps
     """
@@ -186,14 +186,15 @@ def _refined(
 def _start(
     problem: ContactProblem, closed: Indices, start: Answer | None, residual: Residuals | None
 ) -> tuple[ExtendedAnswer, Residuals | None]:
-    """Return a start without forces on open contacts, by default at rest, and its residuals if known."""
+    """Return a start without friction and forces on open contacts, by default at rest, and its residuals if known."""
     if start is None:
         return ExtendedAnswer.at_rest(problem), Residuals.at_rest(problem)
     kept = np.zeros(problem.contacts, dtype=bool)
     kept[closed] = True
     force = np.where(kept, start.normal_force, 0.0)
     answer = ExtendedAnswer(Extended(start.displacement), Extended(force), None, Extended(start.tie_force))
-    return answer, None if start.normal_force[~kept].any() else residual
+    dropped = start.normal_force[~kept].any() or (start.friction_force is not None and start.friction_force.any())
+    return answer, None if dropped else residual
 
 
 class _CorrectionSize:

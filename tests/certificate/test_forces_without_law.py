@@ -72,6 +72,22 @@ def test_friction_of_a_smooth_contact_is_an_error_of_the_forces(others: bool) ->
         assert certificate.force_bound[0] >= abs(size)
 
 
+@pytest.mark.parametrize("after_another", [False, True])
+def test_the_bound_of_the_displacement_has_the_response_to_friction_of_a_smooth_contact(after_another: bool) -> None:
+    """The displacement is in balance with that friction: residuals are rounding, and what was found for other answers
+    does not end the refinement at once."""
+    problem = cq.ContactProblem([[5.0, 2.0], [2.0, 4.0]], [3.0, -1.0], [[0.0, -1.0]], [0.0], [[1.0, 0.0]], friction=0.0)
+    right, push = np.array([0.6, 0.0]), [2.2]  # 5 u = 3; 1 + 2 u
+    for rub in (2.0**-34, 2.0**-30, 2.0**-20):
+        fresh = problem.afresh()
+        if after_another:
+            assert cq.certify(fresh, right, push, [[0.0]]).passed
+        moved = np.array([-4.0, 2.0]) * rub / 16  # K moved = -(rub, 0)
+        certificate = cq.certify(fresh, right + moved, push, [[rub]])
+        assert certificate.energy_error is not None
+        assert certificate.energy_error >= (1 - 1e-6) * np.sqrt(4 / 16 / (5 * 0.36)) * rub
+
+
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
 def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
