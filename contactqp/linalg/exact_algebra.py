@@ -240,3 +240,10 @@ class Region:
             if low is None or high is None or dot(row, low) != dot(row, high):
                 ends += [end for end in (low, high) if end is not None]
         return ends
+
+
+def cancelling(rows: Sequence[Sequence[float]]) -> list[Fraction] | None:
+    """Return the rational weights with which rows cancel, by elimination, None unless unique up to a factor."""
+    balance = [[*map(Fraction, column), ZERO] for column in zip(*rows, strict=True) if any(column)]
+    found = solutions(balance, len(rows))
+    return found.free[0] if found is not None and len(found.free) == 1 else None

@@ -5,8 +5,8 @@ friction a contact resists a rigid motion z unless it opens faster than it slips
 
     -E_N z >= mu |E_T z|,
 
-since then no force of its cone does negative work along z. In space the cone is replaced by a polyhedral one within it:
-motions that only the rest of the cone would resist are not claimed.
+since then no force of its cone does negative work along z. In space the cone is replaced by polyhedral ones within it,
+which are refined near the slips of a motion that the load drives within a cone around it.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, IDLE, RigidMotions, unknown_scale
 from contactqp.linalg.equilibration import equilibrated
-from contactqp.linalg.exact_algebra import ZERO, solutions
+from contactqp.linalg.exact_algebra import cancelling
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, nearly_cancelling
 from contactqp.linalg.measures import scale_through_rows
+from contactqp.linalg.nonnegative import given_rows
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import resisting_rows
+from contactqp.model.coulomb import resisting_rows, sides_nearby
 from contactqp.model.names import describe_motion, describe_proof, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
@@ -43,6 +44,8 @@ DRIVEN = 1e-7
 REMAINING = 1e-7
 # The number of programs, each starting from the last, that reach the rounding of doubles.
 PROGRAMS = 4
+# The number of polygons in place of the circle of slips, each near the slips that the last one allowed.
+POLYGONS = 6
 # Constraints with slacks beyond this multiple of the excess are left out of the program.
 FAR = 1e7
 # Projections of a motion onto the null space of rows; the second removes rounding of the first.
@@ -129,8 +132,7 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, rigid)) * (problem.load_size @ abs(Z))):
         return None
-    resisting, still = resisting_rows(problem), _still(Z, _positive_scale(problem))
-    coordinates = unresisted(drive, _unit(resisting, Z, still), _unit(problem.tie, Z, still))
+    coordinates, resisting = _unresisted_motion(problem, Z, drive)
     if coordinates is None:
         return None
     for stated in _stated_ahead(problem):  # a translation is clearer than the steepest motion
@@ -140,6 +142,24 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     motion = Z @ coordinates
     found = _proven_drive(problem, rigid, resisting, motion / np.max(abs(motion)))
     return found if found is not None and (doubtful or found.work > found.rounding) else None
+
+
+def _unresisted_motion(problem: ContactProblem, Z: Array, drive: Vector) -> tuple[Array | None, Any]:
+    """Return coordinates (r,) of a driven motion, None if none was found, and the rows that do not resist it."""
+    still, slips, sides = _still(Z, _positive_scale(problem)), problem.slip_origin, None
+    tie = _unit(problem.tie, Z, still)
+    for _ in range(POLYGONS):
+        resisting = resisting_rows(problem, sides)
+        coordinates = unresisted(drive, _unit(resisting, Z, still), tie)
+        known = coordinates is not None or not problem.frictional
+        if known or problem.tangent is None or slips is None or slips.shape[1] == 1:
+            break
+        sides = sides_nearby(np.zeros(slips.shape)) if sides is None else sides
+        outer = unresisted(drive, _unit(resisting_rows(problem, sides, within=False), Z, still), tie)
+        if outer is None:
+            break
+        sides = sides_nearby((problem.tangent @ (Z @ outer)).reshape(slips.shape))
+    return coordinates, resisting
 
 
 def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
@@ -209,6 +229,13 @@ def _unit(rows: Any, Z: Array, still: Array) -> Array:
     return np.where(size > rounding, values / np.where(size > 0, size, 1.0), 0.0)
 
 
+def _program(cost: Vector, **constraints: Any) -> Any:
+    """Solve a linear program in the form of `linprog` to its tightest tolerances."""
+    from scipy.optimize import linprog
+
+    return linprog(cost, method="highs", options=LP_OPTIONS, **constraints)
+
+
 def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
     """Return the coordinates, each at most one, of the steepest unresisted motion, None if there is none.
 
@@ -217,17 +244,11 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
     if touch_one_each(normal) and touch_one_each(tie):
         ahead = np.sign(drive)
         return np.where(np.any(normal * ahead > 0, axis=0) | np.any(tie != 0, axis=0), 0.0, ahead)
-    from scipy.optimize import linprog
-
-    answer = linprog(
+    answer = _program(
         -drive / np.max(abs(drive)),
-        A_ub=normal if len(normal) else None,
-        b_ub=np.zeros(len(normal)) if len(normal) else None,
-        A_eq=tie if len(tie) else None,
-        b_eq=np.zeros(len(tie)) if len(tie) else None,
+        **given_rows("ub", normal, np.zeros(len(normal))),
+        **given_rows("eq", tie, np.zeros(len(tie))),
         bounds=(-1, 1),
-        method="highs",
-        options=LP_OPTIONS,
     )
     return None if answer.x is None else np.asarray(answer.x)
 
@@ -310,17 +331,13 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
 
 def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float, Vector]:
     """Return the step of least excess of unit rows, the excess, and its multipliers (m + k,)."""
-    from scipy.optimize import linprog
-
     q, count = unit.shape
     rows = sp.csr_matrix(sp.vstack([unit, -unit[m:]]))
-    answer = linprog(
+    answer = _program(
         np.append(np.zeros(count), 1.0),
         A_ub=sp.hstack([rows, -np.ones((rows.shape[0], 1))], format="csr"),
         b_ub=np.minimum(np.concatenate([left, -left[m:]]), FAR),
         bounds=[(None, None)] * count + [(0, None)],
-        method="highs",
-        options=LP_OPTIONS,
     )
     if answer.x is None:
         return None, 0.0, np.zeros(q)
@@ -334,22 +351,16 @@ def refuse_sparse_drive(problem: ContactProblem) -> None:
     The motion z with K z = 0, E z <= 0, A z = 0 along which the load does most work, its entries at most one in scaled
     unknowns, comes from a linear program; its residuals are then formed in extended precision.
     """
-    from scipy.optimize import linprog
-
     twin, _ = equilibrated(problem)
     if np.all(np.diff(twin.stiffness_rows.indptr)):
         return  # no unknown lacks stiffness, and a linear program in the whole K may take too long
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
     held = held[np.flatnonzero(np.diff(held.indptr))]
-    answer = linprog(
+    answer = _program(
         -twin.load,
-        A_ub=twin.normal if problem.contacts else None,
-        b_ub=np.zeros(problem.contacts) if problem.contacts else None,
-        A_eq=held if held.shape[0] else None,
-        b_eq=np.zeros(held.shape[0]) if held.shape[0] else None,
+        **given_rows("ub", twin.normal, np.zeros(problem.contacts)),
+        **given_rows("eq", held, np.zeros(held.shape[0])),
         bounds=(-1.0, 1.0),
-        method="highs",
-        options=LP_OPTIONS,
     )
     if answer.x is not None:
         refuse_drive_along(problem, np.asarray(answer.x, dtype=float))
@@ -419,7 +430,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     touched = np.unique(rows[members].indices)
     part, scale = sp.csc_matrix(rows[members][:, touched]), scale[touched]
     few = len(members) <= MOST_EXACT
-    found = _cancelling(part.toarray()) if few else _cancelling_simply(part, weight[members])
+    found = cancelling(part.toarray().tolist()) if few else _cancelling_simply(part, weight[members])
     exact = found is not None
     if found is None:
         found = [Fraction(float(x)) for x in nearly_cancelling(part, scale, weight[members])]
@@ -439,14 +450,6 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     every = np.zeros(rows.shape[0])
     every[members] = y
     return Conflict(every[:m], every[m:], excess, rounding, exact)
-
-
-def _cancelling(rows: Array) -> list[Fraction] | None:
-    """Return the rational weights with which rows cancel, by elimination, None unless unique up to a factor."""
-    touched = np.flatnonzero(np.any(rows != 0, axis=0))
-    balance = [[*(Fraction(float(x)) for x in rows[:, j]), ZERO] for j in touched]  # one equation per unknown
-    found = solutions(balance, len(rows))
-    return found.free[0] if found is not None and len(found.free) == 1 else None
 
 
 def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:

@@ -76,24 +76,49 @@ def status_names(status: Status) -> NDArray[np.str_]:
     return np.select([status == OPEN, status == STICK], ["open", "stick"], "slip").astype("<U8")
 
 
-# Sides of the polygon circumscribed about the disc of slips; it exceeds the disc by 0.5 %, where nothing is claimed.
-SIDES = 32
+# Sides of the polygon circumscribed about the disc of slips, which it exceeds by 0.5 % between them; and the sides on
+# either side of a given slip, each half as far from it as the last: between these it exceeds the disc by 1e-6, and by
+# more than the tolerance of linear programs.
+SIDES, SIDES_NEARBY = 32, 7
 
 
-def resisting_rows(problem: ContactProblem) -> Any:
+def resisting_rows(problem: ContactProblem, sides: Array | None = None, within: bool = True) -> Any:
     """Return the rows E_N, and E_N + mu t'E_T with friction (CSR): no contact resists a motion z with E z <= 0.
 
-    t are the two directions of the plane, in space the corners of a polygon around the unit circle.
+    t are the two directions of the plane, in space the corners of a polygon around the unit circle; without `within`
+    its sides' normals, and motions that contacts resist may have E z <= 0, too.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    sides : (m, k) array of increasing angles, optional
+        The directions of slip at which the polygon of each contact touches the circle; equally spaced by default.
+    within : bool
     """
     if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return problem.normal
     width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
     across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
     parts = [problem.normal[problem.friction <= 0]]
-    for direction in around(width):
-        along = sum(direction[k] * across[width * rough + k] for k in range(width))
+    given = around(width)[:, None] if sides is None else _corners(sides[rough], within)
+    for direction in np.broadcast_to(given, (len(given), len(rough), width)):
+        along = sum(sp.diags(direction[:, k]) @ across[width * rough + k] for k in range(width))
         parts.append(problem.normal[rough] + along)
     return sp.csr_matrix(sp.vstack(parts))
+
+
+def _corners(sides: Array, within: bool) -> Array:
+    """Return the corners (k, m, 2) of polygons whose sides (m, k) touch the circle at these angles, or these points."""
+    half = (np.diff(sides, append=sides[:, :1] + 2 * np.pi) / 2).T if within else np.zeros(sides.T.shape)
+    angle = sides.T + half
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(half)[..., None]
+
+
+def sides_nearby(slip: Array) -> Array:
+    """Return angles (m, k) of the sides of polygons about the circle that are near to it in the direction of slips."""
+    ahead = np.pi / SIDES * 2.0 ** -np.arange(SIDES_NEARBY)
+    apart = np.sort(np.concatenate([2 * np.pi * np.arange(SIDES) / SIDES, ahead, 2 * np.pi - ahead]))
+    return np.asarray(np.arctan2(slip[:, 1], slip[:, 0])[:, None] + apart)
 
 
 def around(width: int) -> Array:

@@ -66,6 +66,22 @@ def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.1, 0.2, 0.7])
+@pytest.mark.parametrize("short", [1e-2, 3e-3, 1e-4, 1e-5])
+def test_a_block_in_space_slides_in_all_frames(turned: float, short: float) -> None:
+    """The slope is 1/2, mu = (1 - short) / 2; with more it rests. Along the proof no force of the cone works."""
+    along, normal = np.array([2.0, 0.0, -1.0]) / math.sqrt(5), np.array([1.0, 0.0, 2.0]) / math.sqrt(5)
+    c, s = math.cos(turned), math.sin(turned)
+    tangent = np.array([[c, s], [-s, c]]) @ [along, [0.0, 1.0, 0.0]]
+    block = cq.ContactProblem(np.zeros((3, 3)), [0, 0, -1.0], [-normal], [0.0], tangent, friction=(1 - short) / 2)
+    with pytest.raises(cq.NoEquilibrium, match="the load drives a rigid motion") as caught:
+        cq.solve(block)
+    z = caught.value.proof.motion
+    assert normal @ z >= (1 - 1e-12) * block.friction[0] * np.linalg.norm(tangent @ z)
+    assert block.load @ z > 0
+    assert cq.solve(block.replace(friction=(1 + short) / 2)).certificate.passed
+
+
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hidden_conflict_is_proven_and_its_absence_is_not_claimed(seed: int) -> None:
