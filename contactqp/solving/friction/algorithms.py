@@ -220,7 +220,8 @@ SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
 SOLVED = 1e-10
 # Algorithms that do not profit from a start.
 FROM_THE_START = ("nsgs", "admm", "aclm", "tresca", "combinations")
-# Algorithms from whose unsuccessful iterates no other one starts; in the plane all combinations are listed instead.
+# Algorithms from whose unsuccessful iterates no other one starts. In the plane all combinations are listed instead, and
+# where fewer steps are allowed than an attempt takes none is drawn.
 DRAWN = ("combinations",)
 
 
@@ -253,7 +254,7 @@ def run_any(
     for number, (name, limit) in enumerate(ATTEMPTS[:attempts]):
         if number and deadline.passed:
             break
-        if name in DRAWN and form.d == 2:
+        if name in DRAWN and (form.d == 2 or (settings.max_iter or limit) < limit):
             continue
         if number == SHORT_ATTEMPTS:
             refuse_none()

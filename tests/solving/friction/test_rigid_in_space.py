@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.solving.friction import algorithms
 
 
 def planted_on_a_rigid_body(
@@ -74,6 +75,14 @@ def test_bodies_that_wedge_themselves_are_answered_from_drawn_combinations(seed:
     assert solution.certificate.passed
     pushed = problem.normal.T @ solution.normal_force + problem.tangent.T @ solution.friction_force.ravel()
     assert pushed == pytest.approx(problem.load, abs=1e-12 * np.max(abs(problem.load)))
+
+
+def test_no_combination_is_drawn_where_steps_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn ones count as steps only where they are near; a diagnosis that allows 20 took 4 s over its questions."""
+    problem, *_ = planted_on_a_rigid_body(66, (0.02, 1.0, 8.0, 64.0))
+    monkeypatch.setattr(algorithms, "drawn_combinations", lambda *_: pytest.fail("combinations were drawn"))
+    with pytest.raises((cq.NotConverged, cq.NotCertified)):
+        cq.solve(problem, max_iter=20)
 
 
 def test_a_body_that_slides_at_the_limit_of_its_load_passes_beside_a_contact_that_grazes() -> None:
