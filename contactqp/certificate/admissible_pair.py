@@ -22,18 +22,13 @@ from contactqp.certificate.balance import rounded_within_parts, rows_on_motions
 from contactqp.certificate.figures import energy_norm, energy_norms, force_norm, residual_noise, response
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.convexity import overlap_by_rounding
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import FINE_EPS, Extended, SparseRows, extend, extended_rows, residuals
 from contactqp.linalg.floating import UNRESISTED, independent_rows, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, least_closing
-from contactqp.linalg.measures import (
-    forces_that_meet,
-    intrinsic_size,
-    lengths_that_meet,
-    of_rows,
-    outer_forces,
-)
+from contactqp.linalg.measures import forces_that_meet, intrinsic_size, lengths_that_meet, of_rows, outer_forces
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set, nonnegative_least_squares
 from contactqp.linalg.refinement import OnSet
 from contactqp.linalg.sparse_saddle import MET_TOGETHER
@@ -473,7 +468,7 @@ def conflict_of_constraints(problem: ContactProblem, condensation: Condensation)
         refuse_conflict(problem, condensation)
     except NoEquilibrium as conflict:
         return str(conflict)
-    return None
+    return overlap_by_rounding(problem)
 
 
 def out_of_balance(

@@ -34,6 +34,7 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import Uniqueness, other_forces, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.convexity import overlap_by_rounding
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals
 from contactqp.linalg.influence import plain_residuals
@@ -338,6 +339,9 @@ def _verdict(
         notes += messages.of_friction_on_supports(problem, measured.supported)
         notes += messages.of_dependent_ties(problem, measured.dependent)
     claimed = bounds if failures else bounds.claimed(error_tolerance)
+    if claimed.proven and not failures and problem.contacts + problem.ties > 1:
+        overlap = overlap_by_rounding(problem, found.gap_measure <= tolerance)
+        claimed = claimed if overlap is None else no_bounds(overlap)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),
@@ -358,8 +362,8 @@ def _verdict(
         energy_bounds=bounds.energy_bounds and rounded_outward(problem, answer, *bounds.energy_bounds),
         determined=bounds.determined,
         distance=measured.state.distance,
-        scope=(bounds.scope or GLOBALLY) if bounds.proven else None,
-        radius=bounds.radius if bounds.proven else None,
+        scope=(bounds.scope or GLOBALLY) if claimed.proven else None,
+        radius=bounds.radius if claimed.proven else None,
         violations=found,
     )
 
@@ -443,12 +447,9 @@ def grazes(answer: Any, found: Violations, compliance: Vector, bounds: Bounds, t
 
     Parameters
     ----------
-    answer : Answer
-    found : Violations
-        Its figures: gaps and forces relative to the lengths and forces that meet at the same place.
+    answer, found : Answer, and its Violations: gaps and forces relative to the lengths and forces that meet there
     compliance : (m,) array [length / force], `own_compliance` of each contact
-    bounds : Bounds
-        Those of the answer; their `energy_scale` is 0 where the energy is not known.
+    bounds : its Bounds, whose `energy_scale` is 0 where the energy is not known
     tolerance : the relative size up to which a gap or a force counts as zero
     """
     vanish = found.force_measure <= tolerance
@@ -490,9 +491,8 @@ def holds_by_products(problem: ContactProblem, rigid: RigidMotions, answer: Answ
 
     Parameters
     ----------
-    problem : ContactProblem
+    problem, answer : ContactProblem, Answer
     rigid : the null space of K
-    answer : Answer
     tolerance : largest figure that passes
     """
     found = violations(problem, answer, plain_residuals(problem, answer), NOTHING, rigid)

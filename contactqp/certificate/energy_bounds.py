@@ -38,7 +38,7 @@ from contactqp.certificate.balance import imposed_work, work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
-from contactqp.linalg.convexity import DEFINITE, REGULAR, are_independent, diagonal_dominance, stiffness_factor
+from contactqp.linalg.convexity import DECIDED, DEFINITE, REGULAR, are_independent, diagonal_dominance, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     REACH,
@@ -83,7 +83,6 @@ ROUNDED = 1e-26
 MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
 AWAY = 1e6
-DECIDED = "what rounding of the data decides is not proven"
 # An answer is accepted if it is this close to a solution up to such a conflict.
 NEAR = 1e-6
 # Contact forces below this part of tie forces have errors that are negligible relative to these.

@@ -1,9 +1,10 @@
 """Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
-precision, and whether rows of constraints are independent.
+precision, and whether rows of constraints are independent, or contradict each other by rounding.
 """
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,17 @@ from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import DENSE_SIZE
+from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, with_added_diagonal
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, with_pivots
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import Mask, Vector
+from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 
+# The most contacts and ties whose overlap is looked for in rational numbers, and why nothing is claimed with one.
+MOST_ROWS, DECIDED = 60, "what rounding of the data decides is not proven"
 # Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
 # The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
@@ -202,3 +207,31 @@ def are_independent(rows: Any) -> bool:
         return False
     motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
     return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
+
+
+def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> str | None:
+    """Say which of few contacts and ties contradict each other, taken exactly, and by how much; None if none do.
+
+    The weights that prove it are rational numbers (Farkas' lemma). What exceeds the rounding of the rows is refused
+    before, so that the overlap is one that rounding of the data may cause.
+
+    Parameters
+    ----------
+    problem : without friction
+    near : (m,) mask, optional, of the contacts looked at, by default all
+    """
+    closed = np.arange(problem.contacts) if near is None else np.flatnonzero(near)
+    closed = closed[np.isfinite(problem.gap[closed])]
+    rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
+    if not 2 <= rows.shape[0] <= MOST_ROWS or rows.nnz > MOST_ROWS**2:
+        return None
+    limit = [Fraction(float(x)) for x in (*problem.gap[closed], *problem.tie_value)]
+    parts = np.split(np.arange(rows.nnz), rows.indptr[1:-1])
+    entries = [{int(rows.indices[k]): Fraction(float(rows.data[k])) for k in part} for part in parts]
+    weights = contradiction(entries, limit, len(closed))
+    if weights is None:
+        return None
+    names = [problem.contact_name(int(i)) for i in closed] + [problem.tie_name(i) for i in range(problem.ties)]
+    overlap, unit = float(1 / max(abs(y) for y in weights)), problem.units.length
+    involved = listed([name for name, y in zip(names, weights, strict=True) if y])
+    return f"{involved} (weighted) overlap by {overlap:.2g}{' ' + unit if unit else ''}: {DECIDED}"

@@ -205,6 +205,27 @@ class Polyhedron:
         self._rows[leaving] = unit
 
 
+def contradiction(rows: Sequence[Mapping[int, Fraction]], limits: Row, signed: int) -> Row | None:
+    """Return weights y by which rows x <= limit (the first `signed`) and rows x = limit contradict each other, or None.
+
+    By Farkas' lemma y'rows = 0, y'limits = -1 and y_i >= 0 for the first ones, which exist exactly if no x fits.
+    """
+    if rank(rows) == len(rows):
+        return None
+    columns = sorted({j for row in rows for j in row})
+    balance = [[*(row.get(j, ZERO) for row in rows), ZERO] for j in columns]
+    found = solutions(balance, len(rows))
+    free = [] if found is None else found.free
+    excess = [dot(direction, limits) for direction in free]
+    if not any(excess):
+        return None
+    slopes = [[direction[i] for direction in free] for i in range(signed)]
+    least = Polyhedron([ZERO] * signed + [ONE], [*slopes, excess], len(free)).range(excess)[0]
+    if least is None or not dot(excess, least) < 0:
+        return None
+    return [dot([direction[i] for direction in free], least) for i in range(len(rows))]
+
+
 class Region:
     """The set {c : value + slope'c >= 0 for all forms}; c may have no entries."""
 

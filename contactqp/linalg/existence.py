@@ -91,8 +91,7 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
 
     Constraints that conflict are told first, as holding the motion would not help there.
     """
-    found = driven_motion(problem, rigid)
-    if found is None:
+    if (found := driven_motion(problem, rigid)) is None:
         return
     refuse_sparse_conflict(problem)
     advice, size = "", float(problem.load_size @ abs(found.motion))
@@ -301,11 +300,10 @@ def conflict(problem: ContactProblem, condensation: Condensation) -> Conflict | 
 def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector | None = None) -> Conflict | None:
     """Return the weights of conflicting rows (m + k, q), over unknowns of scales (q,), else None.
 
-    Where K gives rows no scale, their rounding is measured by the lengths `least` (m + k,).
-
-    The least t with E_i u - t <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict,
-    and its multipliers are Farkas' proof. If a linear program removes the excess up to its tolerance, another one
-    starts from there with the remaining excess scaled to one (Gleixner, Steffy and Wolter 2016).
+    Where K gives rows no scale, their rounding is measured by the lengths `least` (m + k,). The least t with E_i u - t
+    <= g_i and |A u - b| <= t (rows of unit length) is positive exactly when they conflict, and its multipliers are
+    Farkas' proof. If a linear program removes the excess up to its tolerance, another one starts from there with the
+    remaining excess scaled to one (Gleixner, Steffy and Wolter 2016).
     """
     limit, m = np.concatenate([problem.gap, problem.tie_value]), problem.contacts
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
@@ -316,8 +314,7 @@ def _conflict(problem: ContactProblem, rows: Any, scale: Vector, least: Vector |
         missing = np.where(np.arange(len(limit)) < m, np.maximum(-left, 0.0), abs(left))
         if np.all(missing <= WITHIN_ROUNDING * (sizes @ abs(u) + abs(limit))):
             return None
-        size = float(np.max(missing / length))
-        if size == 0:  # below rounding of rows of this length
+        if (size := float(np.max(missing / length))) == 0:  # below rounding of rows of this length
             return None
         step, remaining, weight = _least_excess(sp.diags(1.0 / length) @ scaled, left / length / size, m)
         if step is None:
@@ -390,8 +387,8 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
             moved = scaling.unknowns * motion
             largest = float(np.max(abs(moved)))
             found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
-            text = f"energy falls for ever: {describe_motion(problem, found.motion)}"
-            raise NoEquilibrium(f"the load drives a motion that nothing resists, and the {text}", found)
+            text = "the load drives a motion that nothing resists, and the energy falls for ever"
+            raise NoEquilibrium(f"{text}: {describe_motion(problem, found.motion)}", found)
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
@@ -412,8 +409,7 @@ def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> b
     """Return whether no row resists a motion beyond the rounding of its sums."""
     for rows, signed in ((held, False), (problem.normal, True)):
         moved = (SparseRows(rows) @ extend(motion)).double()
-        beyond = moved if signed else abs(moved)
-        if np.any(beyond > WITHIN_ROUNDING * (abs(rows) @ abs(motion))):
+        if np.any((moved if signed else abs(moved)) > WITHIN_ROUNDING * (abs(rows) @ abs(motion))):
             return False
     return True
 
@@ -421,8 +417,7 @@ def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> b
 def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Vector, scale: Vector) -> Conflict | None:
     """Return Farkas' proof on the rows with weights, or None.
 
-    Weights are rational, or, if the rows cancel to rounding only, floats whose sums are formed exactly. `sizes` (m +
-    k,) are the lengths that meet in each row.
+    Weights are rational, or floats with exact sums if rows cancel to rounding; `sizes` (m + k,) are their lengths.
     """
     scaled = sp.csr_matrix(rows @ sp.diags(scale))
     own = abs(weight) * np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
@@ -436,7 +431,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
         found = [Fraction(float(x)) for x in nearly_cancelling(part, scale, weight[members])]
     if sum(x * Fraction(float(w)) for x, w in zip(found, weight[members], strict=True)) < 0:
         found = [-x for x in found]
-    largest = max((abs(x) for x in found), default=Fraction(0))
+    largest = max(map(abs, found), default=Fraction(0))
     if not largest or any(x < 0 for x, i in zip(found, members.tolist(), strict=True) if i < m):
         return None
     found = [x / largest for x in found]
@@ -444,7 +439,10 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
     if not exact and not _cancel_to_rounding(part, found):
         return None
     excess = float(-sum(x * Fraction(float(limit[i])) for x, i in zip(found, members.tolist(), strict=True)))
-    rounding = WITHIN_ROUNDING * float(abs(y) @ sizes[members])
+    sizes, own = sizes[members], limit[members]
+    if not exact:  # rows that cancel to rounding admit displacements far away
+        sizes = np.maximum(sizes, abs(own) + abs(part) @ _farthest(own, abs(part), scale))
+    rounding = WITHIN_ROUNDING * float(abs(y) @ sizes)
     if not excess > rounding:
         return None
     every = np.zeros(rows.shape[0])
@@ -473,10 +471,14 @@ def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
     The sums are formed exactly.
     """
     part = rows.shape[0] * Fraction(WITHIN_ROUNDING)
-    for terms in _terms(rows, weights):
-        if abs(sum(terms, Fraction(0))) > part * sum((abs(x) for x in terms), Fraction(0)):
-            return False
-    return True
+    sums = ((abs(sum(terms, Fraction(0))), sum(map(abs, terms), Fraction(0))) for terms in _terms(rows, weights))
+    return all(left <= part * size for left, size in sums)
+
+
+def _farthest(limit: Vector, sizes: Any, scale: Vector) -> Vector:
+    """Return displacements (q,) of SOUGHT times the largest length that rows of these entries impose in the scale."""
+    imposed = np.divide(abs(limit), sizes @ scale, out=np.zeros(len(limit)), where=limit != 0)
+    return np.asarray(SOUGHT * scale * float(np.max(imposed, initial=0.0)))
 
 
 def conflict_of(problem: ContactProblem, scale: Vector, weights: Vector) -> Conflict | None:
@@ -491,9 +493,8 @@ def conflict_of(problem: ContactProblem, scale: Vector, weights: Vector) -> Conf
     left = abs((SparseRows(across) @ extend(weights)).double())
     if np.any(left > WITHIN_ROUNDING * size):
         return None
-    imposed = np.divide(abs(limit), abs(rows) @ scale, out=np.zeros(len(limit)), where=weights != 0)
-    farthest = SOUGHT * scale * float(np.max(imposed, initial=0.0))
+    farthest = _farthest(limit, abs(rows), scale)
     excess = -float(extend(limit).dot(extend(weights)))
     rounding = WITHIN_ROUNDING * float(abs(weights) @ abs(limit) + size @ farthest)
-    cut = problem.contacts
-    return Conflict(weights[:cut], weights[cut:], excess, rounding, exact=False) if excess > rounding else None
+    push, held = np.split(weights, [problem.contacts])
+    return Conflict(push, held, excess, rounding, exact=False) if excess > rounding else None

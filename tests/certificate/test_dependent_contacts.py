@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -341,3 +343,44 @@ def test_a_grazing_contact_that_is_nearly_parallel_to_one_that_presses_is_left_o
         noise = 2.0**-47 * np.random.default_rng(seed).normal(size=8) / np.sqrt(np.diag(K))
         certificate = cq.certify(problem, u + noise, force, tie_force=tied)
         assert certificate.proven, certificate.failures
+
+
+SQUEEZED: dict[str, dict[str, Any]] = {
+    "a contact that says the same twice, the last digit apart": dict(
+        stiffness=[[1e-6, 0.0, -2e-6], [0.0, 0.0, 0.0], [-2e-6, 0.0, 4e-6]],
+        load=[-1.0000000013, 2.0, 0.7000000026],
+        normal=[[0.0, 2.0, 0.0], [0.0, -4.0, 0.0]],
+        gap=[-0.0014, 0.0027999999999999995],
+        tie=[[-1.0, 2.0, 0.7]],
+        tie_value=[-0.00049],
+    ),
+    "two contacts and a tie": dict(
+        stiffness=[[2.0, -1.0], [-1.0, 1.0]],
+        load=[3.1, 6.6],
+        normal=[[0.0, 1.0], [0.3, 2.0], [-0.15, -3.0]],
+        gap=[0.0, 0.03, -0.015],
+        tie=[[2.0, 0.7]],
+        tie_value=[0.2],
+    ),
+}
+
+
+@pytest.mark.parametrize("condense", [True, False])
+@pytest.mark.parametrize("what", SQUEEZED)
+def test_contacts_that_overlap_by_rounding_prove_nothing(what: str, condense: bool) -> None:
+    """Taken exactly the rows contradict each other, so that no solution is there to be near; no digit is wrong."""
+    problem = cq.ContactProblem(**SQUEEZED[what])
+    with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
+        cq.exact(problem, enclose=False)
+    certificate = cq.solve(problem, condense=condense).certificate
+    assert certificate.passed
+    assert not certificate.proven
+    assert certificate.scope is None
+    assert "overlap" in certificate.reasons[0] or "conflict" in certificate.reasons[0]
+
+
+def test_contacts_that_touch_exactly_are_proven_though_they_depend_on_each_other() -> None:
+    """The same rows without the last digit: -4 u <= -2 (2 u) holds exactly, and the answer is proven."""
+    node = cq.ContactProblem([[1.0]], [2.0], [[1.0], [-4.0]], [0.7, -4 * 0.7])
+    assert cq.exact(node).gap.tolist() == [0, 0]
+    assert cq.solve(node).certificate.proven

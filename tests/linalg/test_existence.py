@@ -362,3 +362,18 @@ def test_figures_that_are_not_of_the_proof_have_their_units_named() -> None:
     )
     with pytest.raises(cq.NoEquilibrium, match=r"balance but for .*\(figures in this message are in units that"):
         cq.solve(rod)
+
+
+@pytest.mark.parametrize("condense", [True, False])
+def test_rows_that_cancel_to_rounding_only_leave_room_far_away(condense: bool) -> None:
+    """No row of the three is a sum of the others exactly: E'l = f has one solution, and E u = g is where it acts."""
+    problem = cq.ContactProblem(
+        np.zeros((3, 3)),
+        [2.0, 2.8, 6.3],
+        [[1.0, 0.7, 2.0], [-1.0, 0.7, 0.3], [1.0, -2.0999999999999996, -2.6]],
+        [1.9, -0.27, -1.3600000000000567],
+    )
+    exact = cq.exact(problem, enclose=False)
+    assert list(exact.gap) == [0, 0, 0]
+    assert max(abs(exact.doubles.displacement)) < 200
+    assert cq.solve(problem, condense=condense).certificate.passed
