@@ -28,7 +28,7 @@ from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.measures import outer_forces, row_sizes
 from contactqp.linalg.schur import LARGE, OF_RANK, PivotedSaddle, RankedSaddle, factorised, uncoupled
-from contactqp.model.arrays import Indices, Mask, Vector, refuse_late
+from contactqp.model.arrays import TINY, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
 # Values of d, for entries of at most one, tried from the largest, which has the least rounding. The next one is used if
@@ -220,8 +220,8 @@ class ClosedState:
     force_residual, length_residual : float
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
     unmet : float
-        The larger of them relative to acting forces, those of load and stiffness, and to imposed lengths, so that
-        self-equilibrated forces and diverging unknowns hide nothing.
+        The larger of them relative to acting forces, those of load and stiffness, and to imposed lengths and those of
+        the row itself, so that self-equilibrated forces and diverging unknowns hide nothing.
     in_conflict : bool, whether the search for a vertex without conflicting contacts has failed
     """
 
@@ -260,18 +260,18 @@ class ClosedState:
         strain = problem.stiffness_sizes @ u
         forces = strain + outer_forces(problem, doubles)
         lengths = row_sizes(problem, problem.normal).lengths(u) + abs(problem.gap)
-        of_ties = row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value)
-        longest = max(float(values.max(initial=0.0)) for values in (u, lengths[closed], of_ties))
-        longest = max(longest, least_length(problem, closed))
+        own = np.append(lengths[closed], row_sizes(problem, problem.tie).lengths(u) + abs(problem.tie_value))
+        longest = max(*(float(values.max(initial=0.0)) for values in (u, own)), least_length(problem, closed))
         # Without acting forces, those that would cause the lengths that meet.
         largest = max(float(forces.max(initial=0.0)), NO_FORCE * longest)
         force_left, gap, open_tie = left.double(np.flatnonzero(closed))
-        unmet = float(np.max(abs(np.concatenate([gap, open_tie])), initial=0.0))
-        unbalanced = float(abs(force_left).max(initial=0.0))
+        missed, unbalanced = abs(np.append(gap, open_tie)), float(abs(force_left).max(initial=0.0))
+        unmet = float(missed.max(initial=0.0))
         acting = max(float(strain.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
-        limits = np.concatenate([abs(problem.gap[closed]), abs(problem.tie_value)])
-        imposed = float(limits.max(initial=0.0)) or longest
+        imposed = float(abs(np.append(problem.gap[closed], problem.tie_value)).max(initial=0.0)) or longest
         hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))
+        own, beyond = np.maximum(own, u[problem.diagonal > 0].max(initial=TINY)), missed > FINE * longest
+        hidden = max(hidden, float((missed / own)[beyond].max(initial=0.0)))
         parts = _part(unbalanced, largest), _part(unmet, longest), hidden
         return cls(problem, closed, answer, left, largest, longest, *parts)
 
