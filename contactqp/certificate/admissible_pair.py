@@ -34,7 +34,7 @@ from contactqp.linalg.refinement import OnSet
 from contactqp.linalg.sparse_saddle import MET_TOGETHER
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import BY_ENERGY, Answer
 
 # Least-distance programming shows a conflict by a last residual below this, the rounding of its equation.
 CONFLICT = 1e-14
@@ -446,6 +446,7 @@ def bounds_apart(
         relative_force_bound=relative,
         ties=max(bounds.ties, (missed, rigid.force_scale)),
         solution=solution,
+        determined=BY_ENERGY if BY_ENERGY in (bounds.determined, rigid.determined) else bounds.determined,
         suspicious=bounds.suspicious or rigid.suspicious,
         reasons=tuple(dict.fromkeys((*bounds.reasons, *rigid.reasons))),
     )

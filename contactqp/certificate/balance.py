@@ -26,13 +26,13 @@ from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import as_stated, that_move
-from contactqp.linalg.least_norm import WITHIN_ROUNDING
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, row_sizes, scale_through_rows, untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
+from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
 # The number of roundings of the energy's terms in its bounds.
 FORMED = 8
@@ -199,6 +199,13 @@ def free_distance(
     # It is limited by the energy of a rigid motion by rounding of K (`is_rigid`).
     most = float(np.sqrt(RIGID_ENERGY * (size @ (problem.stiffness_sizes @ size))))
     return min(max(distance - resisted, 0.0), most)
+
+
+def determined_by(problem: ContactProblem, answer: Answer, condensation: Condensation) -> str:
+    """Return BY_ENERGY if a motion is free: neither K nor ties nor the contacts with a force resist it."""
+    push = row_sizes(problem, problem.normal).measure(answer.normal_force, outer_forces(problem, answer))
+    _, free = shift_to_least_norm(problem, condensation, answer, np.flatnonzero(push > RESISTED))
+    return BY_ENERGY if free.shape[1] else BY_DISPLACEMENT
 
 
 def hides_strain(problem: ContactProblem, displacement: Vector, rigid: RigidMotions, size: float, left: float) -> bool:

@@ -65,6 +65,7 @@ from contactqp.certificate.admissible_pair import (
 from contactqp.certificate.balance import (
     STATE_MOTIONS,
     UNTOLD_RESISTANCE,
+    determined_by,
     free_distance,
     nearest_to,
     parts_of_bare_forces,
@@ -368,6 +369,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         force_bound=force_bound,
         relative_force_bound=relative,
         estimated=not sure,
+        determined=determined_by(problem, answer, condensation) if floats else BY_DISPLACEMENT,
         solution=solution if pair.exact else None,
         reasons=() if reason is None else (f"force_bound: {reason}",),
     )

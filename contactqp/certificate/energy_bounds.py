@@ -484,7 +484,8 @@ def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, ri
         return bounds if problem.diagonal.any() else found
     if bounds.force_error is None or found.force_error is None:
         return found
-    return replace(found, force_error=max(found.force_error, bounds.force_error))  # each in its own norm
+    error = max(found.force_error, bounds.force_error)  # each in its own norm
+    return replace(found, force_error=error, determined=bounds.determined)
 
 
 def _floats(problem: ContactProblem, rigid: RigidMotions) -> bool:

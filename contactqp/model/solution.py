@@ -142,11 +142,12 @@ class Certificate(ReadOnly, Printed):
     Where unknowns have no stiffness, forces on them have no energy, and `force_error` compares Euclidean norms of all
     forces, with rows scaled to entries near one.
 
-    `determined` is "energy" where K is singular on unknowns that constraints leave free, as in a linear program:
-    displacement and forces may then be one of many, and the verdict requires that `energy_bounds` differ by at most
-    `tolerance` times the larger term of the energy; `energy_error` is then relative to sqrt(2 |f'u*|) where nothing is
-    strained, |u*|_K being zero. Where closed contacts and ties contradict each other by rounding of the data, nothing
-    is `proven`, and `energy_bounds` are those of a problem whose gaps are changed by that much, as stated in `reasons`.
+    `determined` is "energy" where K is singular on unknowns that constraints leave free, as where a body drifts and in
+    a linear program: displacement and forces may then be one of many. Where there are `energy_bounds` the verdict
+    requires that they differ by at most `tolerance` times the larger term of the energy; `energy_error` is then
+    relative to sqrt(2 |f'u*|) where nothing is strained, |u*|_K being zero. Where closed contacts and ties contradict
+    each other by rounding of the data, nothing is `proven`, and `energy_bounds` are those of a problem whose gaps are
+    changed by that much, as stated in `reasons`.
     """
 
     equilibrium: float  # componentwise backward error

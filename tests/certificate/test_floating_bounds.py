@@ -571,3 +571,29 @@ def test_forces_of_ties_are_held_against_a_contact_at_unknowns_without_stiffness
         assert cq.certify(problem, u, [2.0], tie_force=None if tie_force is None else [tie_force]).passed
     assert not cq.certify(problem, u, [2.0], tie_force=[1e-8]).passed
     assert not cq.certify(problem, u, [2.0 + 1e-8], tie_force=[0.0]).passed
+
+
+FREE: dict[str, tuple[dict[str, object], str]] = {
+    "a spring that floats": (dict(stiffness=[[1, -1], [-1, 1]], load=[1, -1], normal=[[1, 0]], gap=[5]), "energy"),
+    "a spring that a force holds": (
+        dict(stiffness=[[1, -1], [-1, 1]], load=[1, 1], normal=[[1, 0]], gap=[5]),
+        "displacement",
+    ),
+    "a spring that touches": (dict(stiffness=[[1, -1], [-1, 1]], load=[1, -1], normal=[[1, 0]], gap=[0.5]), "energy"),
+    "a spring between walls that touch": (
+        dict(stiffness=[[1, -1], [-1, 1]], load=[1, -1], normal=[[1, 0], [-1, 0]], gap=[0.5, -0.5]),
+        "displacement",
+    ),
+    "an unknown without stiffness": (dict(stiffness=[[1, 0], [0, 0]], load=[1, 0], normal=[[1, 0]], gap=[5]), "energy"),
+}
+
+
+@pytest.mark.parametrize("condense", [True, False])
+@pytest.mark.parametrize("what", FREE)
+def test_a_displacement_is_determined_where_no_motion_is_free(what: str, condense: bool) -> None:
+    data, determined = FREE[what]
+    problem = cq.ContactProblem(**{name: np.array(part, dtype=float) for name, part in data.items()})
+    assert bool(cq.exact(problem).free_motions) == (determined == "energy")
+    certificate = cq.solve(problem, condense=condense).certificate
+    assert certificate.proven
+    assert certificate.determined == determined

@@ -230,7 +230,7 @@ def determined_gaps(problem: ContactProblem, right: Solution) -> Mask:
 
     A linear program may have several optimal vertices, and gaps of open contacts may change as bodies slide freely.
     """
-    if right.certificate.determined == BY_ENERGY:
+    if right.certificate.determined == BY_ENERGY and right.certificate.energy_bounds is not None:
         return np.zeros(problem.contacts, dtype=bool)
     moved, scale = np.zeros(problem.contacts, dtype=bool), unknown_scale(problem)
     for motion in right.free_motions:
