@@ -100,6 +100,7 @@ def contact_data(
         )
     load = -_finite("q", read_array("q", given.q).ravel())
     n = len(load)
+    _refuse_other_than_square(given.P, n)
     contacts, ties = [_given("G", given.G, "h", given.h, n)], [_given("A", given.A, "b", given.b, n)]
     names = [f"row {i}" for i in range(contacts[0][0].shape[0])], [f"tie {i}" for i in range(ties[0][0].shape[0])]
     ranges = _given("C", C, "u" if l is None else "l", u if l is None else l, n)[0]
@@ -141,7 +142,20 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
         raise InvalidProblem(
             f"{vector}: expected {read.shape[0]} entries, one for each row of {matrix}, got {len(values)}"
         )
+    if vector == "b":
+        _finite("b", values)
+    if vector == "h" and (values == -np.inf).any():
+        raise InvalidProblem(f"h: expected a number or inf, got -inf at [{int(np.argmax(values == -np.inf))}]")
     return read, values
+
+
+def _refuse_other_than_square(P: Any, n: int) -> None:
+    """Raise InvalidProblem, by the names of a program, unless P is a matrix of finite numbers for n entries of q."""
+    read = _finite("P", _matrix("P", P))
+    if read.shape[0] != read.shape[1] or (np.ndim(P) < 2 and not sp.issparse(P)):
+        raise InvalidProblem(f"P: expected a square matrix, got shape {P.shape if sp.issparse(P) else np.shape(P)}")
+    if read.shape[0] != n:
+        raise InvalidProblem(f"q: expected {read.shape[0]} entries, one for each row of P, got {n}")
 
 
 def _matrix(name: str, rows: Any) -> Any:

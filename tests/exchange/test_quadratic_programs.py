@@ -373,3 +373,24 @@ def test_explain_takes_problems_in_local_form(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "local form" in said
     assert "1 contact with friction" in said
+
+
+WRONG: dict[str, tuple[dict[str, object], str]] = {
+    "P with nan": ({"P": [[1.0, 0.0], [0.0, np.nan]]}, r"P: expected finite numbers, got nan at \[1, 1\]"),
+    "P sparse with inf": ({"P": sp.diags([np.inf, 1.0])}, r"P: expected finite numbers, got inf at \[0, 0\]"),
+    "P not square": ({"P": np.ones((2, 3))}, r"P: expected a square matrix, got shape \(2, 3\)"),
+    "P a vector": ({"P": [1.0, 1.0]}, r"P: expected a square matrix, got shape \(2,\)"),
+    "q too long": ({"q": np.ones(3)}, "q: expected 2 entries, one for each row of P, got 3"),
+    "h that nothing satisfies": ({"h": [1.0, -np.inf]}, r"h: expected a number or inf, got -inf at \[1\]"),
+    "b infinite": ({"b": [np.inf]}, r"b: expected finite numbers, got inf at \[0\]"),
+    "lb infinite": ({"lb": [0.0, np.inf]}, "lb: expected a number or -inf, got inf at 1"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_named_as_it_was_given(what: str) -> None:
+    """Not as the stiffness, gap or tie value that it becomes."""
+    program = dict(P=np.eye(2), q=np.ones(2), G=np.eye(2), h=np.ones(2), A=np.ones((1, 2)), b=np.ones(1))
+    given, message = WRONG[what]
+    with pytest.raises(cq.InvalidProblem, match=f"^{message}"):
+        cq.ContactProblem.from_qp(**{**program, **given})
