@@ -251,15 +251,22 @@ def _hopeless(matrix: Matrix, solve: Solver) -> bool:
     """Return whether 1 / (|R M C| |(R M C)^-1|) <= n eps in the 1-norm, diagonal R and C equilibrating M.
 
     Equilibration prevents that a large range of entries, as of a penalty, is mistaken for singularity. For a symmetric
-    M both are equal.
+    M both are equal. As rows of multipliers hide a soft stiffness beside them from it, the matrix is also scaled to a
+    diagonal of one first, where it has one, and only the other rows and columns are equilibrated.
     """
-    n = matrix.shape[0]
-    size = abs(matrix)
-    rows, columns = np.ones(n), np.ones(n)
+    size, diagonal = abs(matrix), abs(matrix.diagonal())
+    every, bare = np.ones(len(diagonal), dtype=bool), diagonal == 0
+    unit = 1 / np.sqrt(np.where(bare, 1.0, diagonal))
+    return all(_near_singular(matrix, size, solve, *one) for one in ((np.ones(len(unit)), every), (unit, bare)))
+
+
+def _near_singular(matrix: Matrix, size: Matrix, solve: Solver, start: Vector, free: Mask) -> bool:
+    """Return whether a matrix is singular to rounding, with its `free` rows and columns (n,) equilibrated."""
+    n, rows, columns = matrix.shape[0], start, start
     for _ in range(3):  # Ruiz equilibration; it settles in two or three sweeps
         of_rows, of_columns = _row_maxima(size, rows, columns), _row_maxima(size.T, columns, rows)
-        rows = rows / np.sqrt(np.where(of_rows > 0, of_rows, 1.0))
-        columns = columns / np.sqrt(np.where(of_columns > 0, of_columns, 1.0))
+        rows = rows / np.sqrt(np.where(free & (of_rows > 0), of_rows, 1.0))
+        columns = columns / np.sqrt(np.where(free & (of_columns > 0), of_columns, 1.0))
     norm = float(np.max(columns * (size.T @ rows)))
     with np.errstate(all="ignore"):
         bound = norm * _norm_of_inverse(matrix, solve, rows, columns)

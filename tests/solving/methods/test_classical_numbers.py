@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+import contactqp as cq
 from contactqp.errors import InvalidProblem, NotConverged
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import (
@@ -264,3 +266,27 @@ def test_master_slave_carries_the_load_term_that_eq_2_20_lacks() -> None:
     displacement = answer("master-slave", problem).displacement
     require_near("displacement", displacement, right, 1e-13)
     assert np.max(np.abs(displacement[:3] - printed)) > 1e-2
+
+
+TEXTBOOK: list[tuple[str, dict[str, Any]]] = [
+    ("lagrange-multiplier", {}),
+    ("master-slave", {}),
+    ("augmented-lagrangian", {}),
+    ("augmented-lagrangian", {"update": "uzawa"}),
+]
+
+
+@pytest.mark.parametrize("unit", [2.0**-66, 1.0, 2.0**66])
+@pytest.mark.parametrize("load", [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+@pytest.mark.parametrize(("method", "options"), TEXTBOOK)
+def test_the_unit_of_force_decides_no_textbook_system(
+    method: str, options: dict[str, Any], load: list[float], unit: float
+) -> None:
+    """u_1 + 2 u_2 = 0 and u_2 <= 0, so that u = (0, 0, f_3); beside soft bodies the rows of the tie are large."""
+    data = dict(normal=[[0.0, 2.0, 0.0]], gap=[0.0], tie=[[1.0, 2.0, 0.0]], tie_value=[0.0])
+    problem = cq.ContactProblem(unit * np.eye(3), unit * np.array(load), **data)
+    exact = cq.exact(problem).doubles
+    solution = cq.solve(problem, method=method, **options)
+    assert solution.certificate.passed
+    np.testing.assert_allclose(solution.displacement, [0.0, 0.0, load[2]], atol=1e-12)
+    np.testing.assert_allclose(solution.normal_force, exact.normal_force, rtol=1e-9, atol=1e-12 * unit)
