@@ -184,11 +184,31 @@ class _ScaledRows:
 
 
 def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
-    """Return factors of unknowns and rows, all one except for rows far from size one."""
-    sizes, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
-    largest = _largest(sizes, d)
-    foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
-    return d, 1.0 / np.where(foreign, largest, 1.0)
+    """Return factors of unknowns and rows for which K has a unit diagonal and the largest entry of each row is one.
+
+    These do not depend on the units of unknowns and rows. The maximum norm alone has many such factors, and those near
+    the units of the problem may have rows with entries of 1e-8 beside one. Unknowns without stiffness follow from rows
+    that they share with others. Where most have none, as in a linear program, all factors are one, but for rows far
+    from size one.
+    """
+    rows, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
+    if 2 * np.sum(problem.diagonal == 0) > problem.dimension:
+        largest = _largest(rows, d)
+        foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
+        return d, 1.0 / np.where(foreign, largest, 1.0)
+    columns, d = rows.T.tocsr(), _inverse(np.sqrt(problem.diagonal))
+    for _ in range(ROUNDS):
+        reached = np.where(d == 0, _inverse(_largest(columns, _inverse(_largest(rows, d)))), 0.0)
+        if not reached.any():
+            break
+        d = d + reached
+    d = np.where(d > 0, d, 1.0)
+    return d, 1.0 / np.where((largest := _largest(rows, d)) > 0, largest, 1.0)
+
+
+def _inverse(sizes: Array) -> Array:
+    """Return the inverse of each size, and zero where that is zero."""
+    return np.where(sizes > 0, 1.0 / np.where(sizes > 0, sizes, 1.0), 0.0)
 
 
 def _units_of_programs(problem: ContactProblem) -> tuple[Array, Array]:
