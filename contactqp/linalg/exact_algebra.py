@@ -268,3 +268,14 @@ def cancelling(rows: Sequence[Sequence[float]]) -> list[Fraction] | None:
     balance = [[*map(Fraction, column), ZERO] for column in zip(*rows, strict=True) if any(column)]
     found = solutions(balance, len(rows))
     return found.free[0] if found is not None and len(found.free) == 1 else None
+
+
+def cancel(rows: Any, weights: list[Fraction], part: Fraction = ZERO) -> bool:
+    """Return whether the weighted rows of a CSC matrix cancel in every column to a part of their entries' sum."""
+    for j in range(rows.shape[1]):
+        at = slice(rows.indptr[j], rows.indptr[j + 1])
+        entries = zip(rows.indices[at].tolist(), rows.data[at].tolist(), strict=True)
+        terms = [weights[i] * Fraction(value) for i, value in entries]
+        if abs(sum(terms, ZERO)) > part * sum(map(abs, terms), ZERO):
+            return False
+    return True

@@ -11,9 +11,10 @@ which are refined near the slips of a motion that the load drives within a cone 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import BALANCED, IDLE, RigidMotions, unknown_scale
 from contactqp.linalg.equilibration import equilibrated
-from contactqp.linalg.exact_algebra import cancelling
+from contactqp.linalg.exact_algebra import cancel, cancelling
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.iteration import contacts_are_many
@@ -131,7 +132,12 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     drive = problem.load @ Z
     if np.all(abs(drive) <= max(BALANCED, _uncertainty(problem, rigid)) * (problem.load_size @ abs(Z))):
         return None
-    coordinates, resisting = _unresisted_motion(problem, Z, drive)
+    unit, across = partial(_unit, Z=Z, still=_still(Z, _positive_scale(problem))), problem.tangent
+    in_space = problem.frictional and across is not None and across.shape[0] > problem.contacts
+    slips = (lambda along: np.asarray(across @ (Z @ along)).reshape(-1, 2)) if in_space else None
+    coordinates, resisting = unresisted_in_cones(
+        drive, partial(resisting_rows, problem), unit, unit(problem.tie), slips
+    )
     if coordinates is None:
         return None
     for stated in _stated_ahead(problem):  # a translation is clearer than the steepest motion
@@ -143,21 +149,33 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     return found if found is not None and (doubtful or found.work > found.rounding) else None
 
 
-def _unresisted_motion(problem: ContactProblem, Z: Array, drive: Vector) -> tuple[Array | None, Any]:
-    """Return coordinates (r,) of a driven motion, None if none was found, and the rows that do not resist it."""
-    still, slips, sides = _still(Z, _positive_scale(problem)), problem.slip_origin, None
-    tie = _unit(problem.tie, Z, still)
+def unresisted_in_cones(
+    drive: Vector,
+    rows_at: Callable[[Array | None, bool], Any],
+    unit: Callable[[Any], Array],
+    tie: Array,
+    slips: Callable[[Vector], Array] | None,
+) -> tuple[Array | None, Any]:
+    """Return coordinates (r,) of a driven motion, None if none was found, and the rows that do not resist it.
+
+    Parameters
+    ----------
+    drive, tie : as `unresisted` takes them
+    rows_at : gives the rows with polygons of these sides (m, k) within or around the cones, as `resisting_rows`
+    unit : gives unit rows of coordinates
+    slips : those (m, 2) along coordinates; None in the plane and without friction, where polygons are exact
+    """
+    sides = None
     for _ in range(POLYGONS):
-        resisting = resisting_rows(problem, sides)
-        coordinates = unresisted(drive, _unit(resisting, Z, still), tie)
-        known = coordinates is not None or not problem.frictional
-        if known or problem.tangent is None or slips is None or slips.shape[1] == 1:
+        resisting = rows_at(sides, True)
+        coordinates = unresisted(drive, unit(resisting), tie)
+        if coordinates is not None or slips is None:
             break
-        sides = sides_nearby(np.zeros(slips.shape)) if sides is None else sides
-        outer = unresisted(drive, _unit(resisting_rows(problem, sides, within=False), Z, still), tie)
+        sides = sides_nearby(slips(np.zeros(len(drive)))) if sides is None else sides
+        outer = unresisted(drive, unit(rows_at(sides, False)), tie)
         if outer is None:
             break
-        sides = sides_nearby((problem.tangent @ (Z @ outer)).reshape(slips.shape))
+        sides = sides_nearby(slips(outer))
     return coordinates, resisting
 
 
@@ -436,7 +454,7 @@ def _proven_conflict(rows: Any, limit: Vector, m: int, weight: Vector, sizes: Ve
         return None
     found = [x / largest for x in found]
     y = np.array([float(x) for x in found])
-    if not exact and not _cancel_to_rounding(part, found):
+    if not exact and not cancel(part, found, part.shape[0] * Fraction(WITHIN_ROUNDING)):
         return None
     excess = float(-sum(x * Fraction(float(limit[i])) for x, i in zip(found, members.tolist(), strict=True)))
     sizes, own = sizes[members], limit[members]
@@ -454,25 +472,7 @@ def _cancelling_simply(rows: Any, weight: Vector) -> list[Fraction] | None:
     """Return the weights rounded to ratios of small integers if the rows of a CSC matrix then cancel exactly."""
     largest = float(np.max(abs(weight)))
     found = [Fraction(float(w) / largest).limit_denominator(LARGEST_DENOMINATOR) for w in weight]
-    return found if all(not sum(terms, Fraction(0)) for terms in _terms(rows, found)) else None
-
-
-def _terms(rows: Any, weights: list[Fraction]) -> Iterator[list[Fraction]]:
-    """Yield the weighted entries of every column of a CSC matrix."""
-    for j in range(rows.shape[1]):
-        at = slice(rows.indptr[j], rows.indptr[j + 1])
-        entries = zip(rows.indices[at].tolist(), rows.data[at].tolist(), strict=True)
-        yield [weights[i] * Fraction(value) for i, value in entries]
-
-
-def _cancel_to_rounding(rows: Any, weights: list[Fraction]) -> bool:
-    """Return whether the weighted rows of a CSC matrix cancel at every unknown to the rounding of their entries.
-
-    The sums are formed exactly.
-    """
-    part = rows.shape[0] * Fraction(WITHIN_ROUNDING)
-    sums = ((abs(sum(terms, Fraction(0))), sum(map(abs, terms), Fraction(0))) for terms in _terms(rows, weights))
-    return all(left <= part * size for left, size in sums)
+    return found if cancel(rows, found) else None
 
 
 def _farthest(limit: Vector, sizes: Any, scale: Vector) -> Vector:

@@ -100,18 +100,30 @@ def resisting_rows(problem: ContactProblem, sides: Array | None = None, within: 
     width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
     across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
     parts = [problem.normal[problem.friction <= 0]]
-    given = around(width)[:, None] if sides is None else _corners(sides[rough], within)
-    for direction in np.broadcast_to(given, (len(given), len(rough), width)):
+    for direction in corners(len(rough), width, None if sides is None else sides[rough], within):
         along = sum(sp.diags(direction[:, k]) @ across[width * rough + k] for k in range(width))
         parts.append(problem.normal[rough] + along)
     return sp.csr_matrix(sp.vstack(parts))
 
 
-def _corners(sides: Array, within: bool) -> Array:
-    """Return the corners (k, m, 2) of polygons whose sides (m, k) touch the circle at these angles, or these points."""
+def corners(contacts: int, width: int, sides: Array | None = None, within: bool = True) -> Array:
+    """Return directions t (k, m, d-1) with max_t t's >= |s| for every slip s: the corners of a polygon at each contact.
+
+    Parameters
+    ----------
+    contacts, width : m and d - 1
+    sides : (m, k) array of increasing angles, optional
+        The directions in which the polygon's sides touch the circle; equally spaced by default.
+    within : bool
+        Whether the corners are wanted; otherwise the points of the circle are returned, with max_t t's <= |s|.
+    """
+    if width == 1:
+        return np.broadcast_to([[[1.0]], [[-1.0]]], (2, contacts, 1))
+    if sides is None:
+        sides = np.broadcast_to(np.pi / SIDES * (2 * np.arange(SIDES) - 1), (contacts, SIDES))
     half = (np.diff(sides, append=sides[:, :1] + 2 * np.pi) / 2).T if within else np.zeros(sides.T.shape)
     angle = sides.T + half
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(half)[..., None]
+    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(half)[..., None])
 
 
 def sides_nearby(slip: Array) -> Array:
@@ -119,15 +131,6 @@ def sides_nearby(slip: Array) -> Array:
     ahead = np.pi / SIDES * 2.0 ** -np.arange(SIDES_NEARBY)
     apart = np.sort(np.concatenate([2 * np.pi * np.arange(SIDES) / SIDES, ahead, 2 * np.pi - ahead]))
     return np.asarray(np.arctan2(slip[:, 1], slip[:, 0])[:, None] + apart)
-
-
-def around(width: int) -> Array:
-    """Return directions t (k, d-1) with max_t t's >= |s| for every slip s: the sides of a circumscribed polygon."""
-    if width == 1:
-        return np.array([[1.0], [-1.0]])
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
-    corner: float = 1.0 / np.cos(np.pi / SIDES)
-    return corner * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def slips(problem: ContactProblem, displacement: Vector) -> Array | None:

@@ -80,6 +80,11 @@ def test_a_block_in_space_slides_in_all_frames(turned: float, short: float) -> N
     assert normal @ z >= (1 - 1e-12) * block.friction[0] * np.linalg.norm(tangent @ z)
     assert block.load @ z > 0
     assert cq.solve(block.replace(friction=(1 + short) / 2)).certificate.passed
+    # The same as joints of a problem in local form.
+    local = dict(bilateral=np.vstack([normal, tangent]), bilateral_offset=[0.0, 0.0, -1.0], dimension=3)
+    with pytest.raises(cq.NoEquilibrium, match="the load drives a rigid motion"):
+        cq.solve(cq.LocalProblem(np.zeros((3, 3)), np.zeros(3), (1 - short) / 2, **local))
+    assert cq.solve(cq.LocalProblem(np.zeros((3, 3)), np.zeros(3), (1 + short) / 2, **local)).certificate.passed
 
 
 @pytest.mark.sampled(8)

@@ -16,6 +16,7 @@ import importlib
 import itertools
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,12 +25,13 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
 from contactqp.linalg.dense import BALANCED, unknown_scale
 from contactqp.linalg.exact_algebra import Polyhedron, Row, solutions
-from contactqp.linalg.existence import unresisted
+from contactqp.linalg.existence import unresisted, unresisted_in_cones
 from contactqp.linalg.extended import SparseRows, extend
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import forces_that_meet
 from contactqp.linalg.nonnegative import highs
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import around
+from contactqp.model.coulomb import corners
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -162,24 +164,32 @@ def refuse_unbalanced(form: LocalForm) -> None:
     V, s = form.V[:, hard], form.s[hard]
     if not np.any(s) or np.any(form.R[:, hard]):
         return
-    rows = _resisting(V.reshape(form.m, form.d, len(hard)), form.mu)
-    size = np.max(abs(rows), axis=1, keepdims=True)
-    motion = unresisted(s, rows / np.where(size > 0, size, 1.0), np.zeros((0, len(hard))))
+    V = V.reshape(form.m, form.d, len(hard))
+    motion, rows = unresisted_in_cones(
+        s,
+        partial(_resisting, V, form.mu),
+        lambda rows: rows / np.where((size := np.max(abs(rows), axis=1, keepdims=True)) > 0, size, 1.0),
+        np.zeros((0, len(hard))),
+        (lambda along: V[:, 1:] @ along) if form.d > 2 else None,
+    )
     if motion is None:
         return
     resisted = (SparseRows(sp.csr_matrix(rows)) @ extend(motion)).double()
-    if np.any(resisted > BALANCED * (abs(rows) @ abs(motion))):
+    terms = (abs(V[:, 0]) + form.mu[:, None] * abs(V[:, 1:]).sum(axis=1)) @ abs(motion)  # of which rows are sums
+    rounding = WITHIN_ROUNDING * np.tile(terms, len(rows) // form.m)
+    if np.any(resisted > np.maximum(BALANCED * (abs(rows) @ abs(motion)), rounding)):
         return
     if extend(s).dot(extend(motion)) > BALANCED * float(abs(s) @ abs(motion)):
         raise NoEquilibrium("friction: the load drives a rigid motion that neither contacts nor friction hold")
 
 
-def _resisting(V: Array, mu: Vector) -> Array:
-    """Return rows whose products with g are not positive where V g, of V (m, d, p), lies in all dual cones K*."""
-    parts = [
-        -V[:, 0] + mu[:, None] * np.einsum("w,iwp->ip", direction, V[:, 1:]) for direction in around(V.shape[1] - 1)
-    ]
-    return np.vstack(parts)
+def _resisting(V: Array, mu: Vector, sides: Array | None, within: bool) -> Array:
+    """Return rows whose products with g are not positive where V g, of V (m, d, p), lies in all dual cones K*.
+
+    Without `within` they may not be positive elsewhere, too. The polygons of the cones have these sides (m, k).
+    """
+    directions = corners(len(mu), V.shape[1] - 1, sides, within)
+    return np.vstack([-V[:, 0] + mu[:, None] * np.einsum("iw,iwp->ip", one, V[:, 1:]) for one in directions])
 
 
 # The smallest relative eigenvalue of a regular matrix; the largest denominators of a proof's weights; the number of
