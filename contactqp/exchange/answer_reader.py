@@ -14,7 +14,7 @@ from contactqp.exchange.files import Ledger, Path, one_line, wrong
 from contactqp.model.arrays import Array
 from contactqp.model.names import other_spellings
 from contactqp.model.problem import ContactProblem
-from contactqp.model.quadratic_program import answer_of_program
+from contactqp.model.quadratic_program import answer_of_program, without_place
 
 # The parts of an answer and their synonyms. Pressures are forces only where areas come with them.
 PARTS = ("displacement", "normal_force", "normal_pressure", "friction_force", "tie_force")
@@ -76,6 +76,10 @@ def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any
         parts = answer_of_program(problem, **found)
     except InvalidProblem as error:
         raise wrong(path, "content", "the answer to this quadratic program", one_line(error)) from None
+    if lost := without_place(problem, found["z_box"]) if "z_box" in found else []:
+        worst = max(lost, key=lambda j: abs(found["z_box"][j]))
+        force = f"{found['z_box'][worst]:.6g} at {problem.dof_name(worst)}"
+        ledger.ignored.append(f"z_box: what stands where there is no such bound, at most {force}")
     ledger.converted.append("x, y, z and z_box, in qpsolvers' signs, to displacement and forces")
     return AnswerFile(parts, ledger)
 

@@ -297,6 +297,14 @@ def answer_of_program(
     return answer
 
 
+def without_place(problem: Any, z_box: Vector) -> list[int]:
+    """Return the unknowns at which z_box has the force of a bound that the program does not have."""
+    bounds, fixed = set(_bounds_of(problem).values()), _fixed_at_the_end(problem)
+    sides = [UPPER if force > 0 else LOWER for force in z_box]
+    pushed = np.flatnonzero(z_box).tolist()
+    return [j for j in pushed if (sides[j], j) not in bounds and j not in fixed]
+
+
 def _fixed_at_the_end(problem: Any) -> list[int]:
     """Return the unknowns of trailing ties that fix one unknown each, as bounds with lb = ub do."""
     rows, found = problem.tie, []

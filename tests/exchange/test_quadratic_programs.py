@@ -327,6 +327,18 @@ def test_answers_in_the_names_and_signs_of_qpsolvers_are_checked(form: str, tmp_
     assert check(z=answer["z"][:1]) == 2
 
 
+def test_forces_of_bounds_that_a_program_does_not_have_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sign turned round in z_box belongs to no bound; that all contact forces are zero was all that was said."""
+    np.savez(tmp_path / "program.npz", P=np.eye(2), q=[-2.0, 1.0], lb=[-np.inf, 0.0], ub=[0.5, np.inf])
+    for z_box, told in (([1.5, -1.0], False), ([-1.5, 1.0], True)):
+        (tmp_path / "answer.json").write_text(json.dumps(dict(x=[0.5, 0.0], z_box=z_box)))
+        assert command("check", str(tmp_path / "program.npz"), str(tmp_path / "answer.json")) == told
+        said = "ignored: z_box: what stands where there is no such bound, at most -1.5 at unknown 0"
+        assert (said in " ".join(capsys.readouterr().out.split())) == told
+
+
 def test_backends_answers_become_those_of_the_contact_problem() -> None:
     problem = cq.ContactProblem.from_qp(
         np.eye(3), [-3.0, 2.0, -1.0], lb=np.array([-1.0, -1.0, 0.5]), ub=np.array([1.0, np.inf, 0.5])
