@@ -86,6 +86,7 @@ from contactqp.certificate.figures import (
 )
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import saddle_point
+from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import Extended, Residuals, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import force_size, lengths_that_meet, own_compliance, parts
@@ -94,19 +95,15 @@ from contactqp.model.arrays import Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
-# Errors with an energy norm below this part of the displacement's are rounding of the refinement.
-VANISHING = 1e-22
-# Corrections of each possible set of the candidate, and of the first one after all have failed.
-CORRECTIONS, LAST_CORRECTIONS = 3, 50
+VANISHING = 1e-22  # errors with an energy norm below this part of the displacement's are rounding of refinement
+CORRECTIONS, LAST_CORRECTIONS = 3, 50  # of each possible set of the candidate, and of the first one after all fail
 # Forces below this part of the displacement's energy norm have absolute errors, and vice versa.
 NEXT_TO_NOTHING = 1e-12
-# A strain up to this multiple of that of the rigid part may be due to rounding of K.
-STRAINED_BY_ROUNDING = 16.0
+STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid part may be due to rounding of K
 # The reason why forces of single contacts have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant, and the force of each one of them has no bound"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
-# The most condensed unknowns for the dense systems of the bounds.
-LARGEST = 8000
+LARGEST = 8000  # the most condensed unknowns for the dense systems of the bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,15 +230,18 @@ def _nearest_pair(
 ) -> AdmissiblePair:
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
-    if (found := _holding(problem, condensation, first, CORRECTIONS, answer, residual)) is not None:
-        return _from_set(problem, answer, condensation, found)
-    sets = believed_sets(problem, answer, compliance)
+    found, taken = _holding(problem, condensation, first, CORRECTIONS, answer, residual)
+    sets = () if found is not None else believed_sets(problem, answer, compliance)
     for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
-        if (found := _holding(problem, condensation, closed, corrections, answer, residual)) is not None:
-            return _from_set(problem, answer, condensation, found)
-    found = _holding(problem, condensation, first, LAST_CORRECTIONS)
+        if found is not None or taken >= affordable_systems(problem):
+            break
+        found, systems = _holding(problem, condensation, closed, corrections, answer, residual)
+        taken += systems
+    if found is None:
+        last = CORRECTIONS if taken >= affordable_systems(problem) else LAST_CORRECTIONS
+        found, _ = _holding(problem, condensation, first, last)
     if found is None and (searched := searched_set(problem, condensation)) is not None:
-        found = _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
+        found, _ = _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
     if found is None:
         return from_repair(problem, answer, condensation, first)
     return _from_set(problem, answer, condensation, found)
@@ -254,16 +254,16 @@ def _holding(
     corrections: int,
     answer: Answer | None = None,
     residual: Residuals | None = None,
-) -> OnSet | None:
-    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None.
+) -> tuple[OnSet | None, int]:
+    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None, and the systems.
 
     Refinement starts from an answer, unless that is so large that its rounding hides the gaps. None is returned, too,
     where it does not contract: another set may leave out one of two nearly dependent rows. Without an answer Unproven.
     """
-    on_set, _, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
+    on_set, changed, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
     if (q := on_set.contraction) >= CONTRACTION and answer is None:
         raise Unproven(f"the refinement contracts by {q:.2g} only: the stiffness is singular to working precision")
-    return on_set if holds and q < CONTRACTION else None
+    return (on_set if holds and q < CONTRACTION else None), changed + 1
 
 
 def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensation, on_set: OnSet) -> AdmissiblePair:

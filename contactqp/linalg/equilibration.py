@@ -290,6 +290,25 @@ def mostly_bare(problem: ContactProblem) -> bool:
     return int(np.sum(bare & acting)) > MOST_BARE
 
 
+def entries_of(problem: ContactProblem) -> int:
+    """Return the number of entries of K and of the rows of contacts and ties, at least one."""
+    return max(int(problem.stiffness_rows.nnz + problem.normal.nnz + problem.tie.nnz), 1)
+
+
+# A search for the closed contacts of condensed bodies may solve as many systems as take about a second: these entries
+# over those of K and the rows, and at least some.
+AFFORDABLE_ENTRIES, LEAST_AFFORDABLE = 1_000_000, 60
+# With sparse systems, if K is not that of a program, as many as take some seconds.
+SPARSE_ENTRIES, LEAST_SPARSE = 10_000_000, 600
+
+
+def affordable_systems(problem: ContactProblem, sparse: bool = False) -> float:
+    """Return the number of systems that a search for the closed contacts may solve; programs count their own."""
+    if sparse:
+        return np.inf if mostly_bare(problem) else max(LEAST_SPARSE, SPARSE_ENTRIES // entries_of(problem))
+    return max(LEAST_AFFORDABLE, AFFORDABLE_ENTRIES // entries_of(problem))
+
+
 def negligible_in_rows(
     problem: ContactProblem, answer: Answer, part: float, connected: Indices, beside: float
 ) -> NegligibleSizes:

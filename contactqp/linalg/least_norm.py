@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import orthonormal, saddle_point
-from contactqp.linalg.equilibration import rows_alone, worst_of_neighbours
+from contactqp.linalg.equilibration import entries_of, rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular
 from contactqp.linalg.floating import UNRESISTED
@@ -38,16 +38,13 @@ from contactqp.model.solution import Answer
 
 # Rounding in double precision, relative to the lengths or forces that meet, or to the terms of a sum.
 WITHIN_ROUNDING = 8 * EPS
-# Corrections of a shift that penetrates contacts by rounding; each reduces this by eps.
-SHIFT_CORRECTIONS = 3
-# The least room that counts, where any room is scaled to 1.
-NO_ROOM = 0.5
+SHIFT_CORRECTIONS = 3  # of a shift that penetrates contacts by rounding; each reduces this by eps
+NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
 # Forces beyond this multiple of the acting ones are self-equilibrated.
 PRESSED = 1e3
-# Forces below this part of the largest may be rounding errors of refinement.
-FEW_DIGITS = 1e-18
-# The budget of single changes, multiplied by unknowns and contacts.
-SINGLE_CHANGES = 600_000
+FEW_DIGITS = 1e-18  # forces below this part of the largest may be rounding errors of refinement
+# The budgets of single changes from all starts, multiplied by unknowns and contacts, and by entries of K and the rows.
+SINGLE_CHANGES, SINGLE_ENTRIES = 600_000, 4_000_000
 # The budget of a dual active set for all its starts.
 DUAL_CHANGES = 1_500_000
 # The most contacts that close without halving the largest penetration, as residuals may drive unbounded motions.
@@ -270,11 +267,13 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
     close in the order in which they are reached. The energy decreases, so that no set recurs (Nocedal and Wright 2006,
     algorithm 16.3).
     """
-    problem, changes = state.problem, iter(range(SINGLE_CHANGES // max(len(state.closed) + len(state.problem.load), 1)))
+    problem = state.problem
+    most = min(SINGLE_CHANGES // (len(state.closed) + problem.dimension), SINGLE_ENTRIES // entries_of(problem))
+    changes = iter(range(effort.changed, most))
     while state.solved and np.any(wrong := state.penetrated) and _goes_on(changes, effort):
         least = worst_of_neighbours(problem, np.where(wrong, -state.left.gap.double(), 0.0))
         state = solved_on(problem, state.closed | least, state.answer, effort)
-    closings, openings = 0, 0
+    closings = openings = 0
     while state.solved and not (state.holds or state.penetrated.any()) and _goes_on(changes, effort):
         pull = np.where(state.pulled, -state.answer.normal_force.double(), 0.0)
         # If most of the opened contacts close again, only one is opened at a time.
@@ -290,6 +289,7 @@ def by_single_changes(state: ClosedState, effort: Effort) -> ClosedState:
             gap[closed], closings = 0.0, closings + 1
             after = solved_on(problem, closed, after.answer, effort)
         state = after
+    effort.changed = next(changes, most)
     return state
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
+from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.floating import UNRESISTED, imbalance, made_of_motions
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
@@ -30,6 +31,8 @@ from contactqp.model.solution import Answer
 
 # Refinement stops when a sweep no longer halves the correction; good sets need two or three.
 MAX_SWEEPS = 12
+# This part of the systems that are affordable may exchange dependent contacts of one set.
+FOR_EXCHANGES = 5
 # Forces below this part of the largest are rounding errors of refinement.
 INVISIBLE = 1e-22
 # The smallest ratio of successive corrections that a solve in double precision is trusted with.
@@ -264,9 +267,9 @@ def polish(
     """Refine the answer on a set of closed contacts and correct the set.
 
     A correction opens contacts in tension and closes penetrated ones. In a redundant set, a penetrated dependent
-    contact replaces another one, which does not count as a correction; then forces without tension are chosen if they
-    exist, and contacts with zero force leave the set. A set that holds to rounding of doubles is corrected by signs in
-    extended precision, as long as the result also holds.
+    contact replaces another one, which does not count as a correction while it is affordable; then forces without
+    tension are chosen if they exist, and contacts with zero force leave the set. A set that holds to rounding of
+    doubles is corrected by signs in extended precision, as long as the result also holds.
 
     Parameters
     ----------
@@ -293,7 +296,9 @@ def polish(
             if not _ties_are_met(problem, answer):
                 return holding or (answer, corrections, False)
             proposal = _exchanged(answer)
-            exchanges += proposal is not None and exchanges < len(closed)
+            exchanges += proposal is not None and exchanges < min(
+                len(closed), affordable_systems(problem) // FOR_EXCHANGES
+            )
             if proposal is None:
                 lean = _without_tension(condensation, answer)
                 if len(lean) < len(closed):
@@ -335,8 +340,9 @@ def _exchanged(answer: OnSet) -> Indices | None:
     """
     closed = answer.saddle.closed
     dependent = np.setdiff1d(np.arange(len(closed)), answer.saddle.independent)
-    excess = (-answer.gaps / answer.lengths)[closed[dependent]]
-    if not np.any(excess > WITHIN_ROUNDING):
+    penetrated = -answer.gaps > answer.rounding_of_gaps
+    excess = np.where(penetrated, -answer.gaps / answer.lengths, 0.0)[closed[dependent]]
+    if not np.any(excess):
         return None
     leaving = answer.saddle.exchange(int(dependent[np.argmax(excess)]), answer.doubles.normal_force[closed])
     return closed if leaving is None else np.delete(closed, leaving)

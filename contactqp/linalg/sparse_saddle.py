@@ -62,14 +62,12 @@ SOLVED = 2.0**-88
 MET = 1e-14
 # The same relative to acting forces and imposed lengths, which may be smaller.
 MET_BESIDE_IMPOSED = 1e-10
-# Rows with residuals above this part of the largest length contradict each other.
-NEARLY_MET = 1e-6
+NEARLY_MET = 1e-6  # rows with residuals above this part of the largest length contradict each other
 # Forces and lengths below this part of the largest have no sign, as their error is about 1e-28 of it.
 SIGNED = 1e-20
 # Forces below this part of those that cause the lengths that meet count as zero.
 NO_FORCE = 1e-12
-# Forces balanced to this part of those that meet belong to a solution.
-BALANCED = 1e-20
+BALANCED = 1e-20  # forces balanced to this part of those that meet belong to a solution
 # Residuals above this part of the forces that meet are not due to a backend's tolerance.
 NEARLY_BALANCED = 1e-7
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up; and where more than
@@ -183,8 +181,9 @@ class Effort:
 
     `wasted` changes of the closed contacts may leave no fewer of them wrong, and `most` factorisations are made; `cut`
     says that one was not made for either reason. `pivots` says whether rows not met together get factors with pivots,
-    in vain `in_vain` times, `ranked` whether dense ones tell their rank. `singles` and `corrected` count contacts that
-    changed one by one, these in corrections. `first` was added to the diagonal where sweeps met a set of contacts.
+    in vain `in_vain` times, `ranked` whether dense ones tell their rank. `changed`, `singles` and `corrected` count
+    contacts that changed one by one in primal and dual active sets and in corrections. `first` was added to the
+    diagonal where sweeps met a set of contacts.
     """
 
     factorisations: int = 0
@@ -194,6 +193,7 @@ class Effort:
     cut: bool = False
     pivots: bool = False
     ranked: bool = False
+    changed: int = 0
     singles: int = 0
     corrected: int = 0
     in_vain: int = 0

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, ran_away, unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
-from contactqp.linalg import least_norm, pardiso
+from contactqp.linalg import equilibration, least_norm, pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
 from contactqp.linalg.existence import (
@@ -114,7 +114,7 @@ class SparseRun(Run):
     ) -> None:
         super().__init__(problem, method)
         self._effort = Effort(wasted=WASTED_AT_FIRST, singles=least_norm.DUAL_CHANGES if settings.max_iter else 0)
-        self._most = settings.max_iter or np.inf  # factorisations
+        self._most = settings.max_iter or equilibration.affordable_systems(problem, sparse=True)
         self._waiting: list[Candidate] = []  # answers from which further changes of the set are possible
         self._twin, self._scaling = equilibrated(problem)
         self._settings, self._looked_for_overlap = settings, False
@@ -175,7 +175,8 @@ class SparseRun(Run):
                 break
         if best is None:
             self.refuse_conflict()
-            best = next((found for found in failed if self._settle(found, driven=True).holds), None)
+            left = (found for found in failed if self._effort.factorisations < self._most)
+            best = next((found for found in left if self._settle(found, driven=True).holds), None)
         if best is None:
             raise NotConverged(f"{self.name}: no backend led to closed contacts that hold ({'; '.join(tried)})")
         return best

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.linalg import block_diag
 
 import contactqp as cq
+from contactqp.certificate import bounds
+from contactqp.linalg import interior_point, least_norm, refinement
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.equilibration import affordable_systems, equilibrated
+from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.factorization import null_space
+from contactqp.linalg.sparse_saddle import Effort
+from contactqp.model.solution import Answer
 
 
 def test_of_two_parallel_contacts_the_nearer_carries() -> None:
@@ -334,3 +343,53 @@ def test_a_tie_is_two_contacts_that_oppose_each_other(seed: int) -> None:
     np.testing.assert_allclose(opposed.normal_force[:2], tied.normal_force, rtol=0, atol=1e-10)
     assert opposed.normal_force[2] - opposed.normal_force[3] == pytest.approx(tied.tie_force[0], abs=1e-10)
     assert opposed.certificate.passed
+
+
+def count_calls(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) -> list[None]:
+    """Return a list that grows by an entry with each call of a function."""
+    calls, original = list[None](), getattr(module, name)
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(None)
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(module, name, counted)
+    return calls
+
+
+def test_rows_that_meet_at_rest_are_not_exchanged_for_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opposite rows of gap 0 allow u = 0 alone; gaps of 1e-33 beside lengths of 1e-33 cost one system each."""
+    rng = np.random.default_rng(30)
+    rows = rng.standard_normal((200, 30))
+    load = rng.standard_normal(30)
+    problem = cq.ContactProblem(np.eye(30), load, np.vstack([rows, -rows]), np.zeros(400))
+    systems = count_calls(monkeypatch, refinement, "answer_on")
+    solution = cq.solve(problem, condense=False)
+    assert np.max(abs(solution.displacement)) <= 1e-20
+    assert rows.T @ (solution.normal_force[:200] - solution.normal_force[200:]) == pytest.approx(load, rel=1e-9)
+    assert solution.certificate.proven
+    assert len(systems) <= 10
+
+
+def test_a_search_for_closed_contacts_ends_after_affordable_systems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stiffness has rank one, 300 rows act on 20 unknowns, and the answer to judge is far from the solution."""
+    rng = np.random.default_rng(133)
+    a, rows = rng.standard_normal(20), rng.standard_normal((300, 20))
+    load = rows.T @ (abs(rng.standard_normal(300)) * (rng.random(300) < 0.5))
+    problem = cq.ContactProblem(np.outer(a, a), load, rows, abs(rng.standard_normal(300)) * (rng.random(300) < 0.5))
+    systems = count_calls(monkeypatch, refinement, "answer_on")
+    certificate = cq.certify(problem, rng.standard_normal(20), abs(rng.standard_normal(300)))
+    assert not certificate.passed
+    assert len(systems) <= 2 * (affordable_systems(problem) + bounds.LAST_CORRECTIONS)
+
+
+def test_single_changes_of_all_starts_share_their_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(40, 40), format="csr")
+    twin, _ = equilibrated(cq.ContactProblem(chain, -np.ones(40), -sp.identity(40, format="csr"), np.full(40, 3.0)))
+    monkeypatch.setattr(least_norm, "SINGLE_CHANGES", 40 + 40)
+    systems, effort = count_calls(monkeypatch, least_norm, "solved_on"), Effort()
+    free = ExtendedAnswer.of(Answer(np.zeros(40), np.zeros(40), None, np.zeros(0)))
+    start = interior_point.solved_on(twin, np.zeros(40, dtype=bool), free, effort)
+    for _ in range(5):
+        assert not least_norm.by_single_changes(start, effort).holds
+    assert len(systems) == 1
