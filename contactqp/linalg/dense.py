@@ -345,6 +345,8 @@ class Delassus:
         self._factor = self._factorised(condensation)
         # The pivot of S with unit diagonal; below REGULAR its inverse has half of the digits.
         self.smallest_pivot = 1.0 if self._factor is None else self._factor.smallest_pivot
+        if len(self.rows) > BLOCK:
+            refuse_late("the compliances of contacts were formed")
         response = self.solve(self.rows.T)
         few = self.rows.size <= WRITTEN_OUT
         W = (self.rows if few else sp.csr_array(self.rows)) @ response  # rows have few entries

@@ -22,7 +22,7 @@ from contactqp.linalg.dense import (
     refuse_negative,
 )
 from contactqp.linalg.extended import SparseRows, extend
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, inverse_root
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, inverse_root, refuse_late
 
 # Motions with energy below this, K scaled to unit diagonal, are tested for being rigid.
 SOFT = 1e-10
@@ -147,8 +147,11 @@ def _long_images(rows: Any, columns: Array) -> Array:
 
 def exact_images(matrix: Any, columns: Array) -> Array:
     """Return K z of every column z (n, q), accumulated in pairs of doubles to tell soft motions from rigid ones."""
-    extended = SparseRows(sp.csr_matrix(matrix))
-    return np.column_stack([(extended @ extend(z)).double() for z in columns.T]) if columns.size else columns * 0.0
+    extended, images = SparseRows(sp.csr_matrix(matrix)), columns * 0.0
+    for image, z in zip(images.T, columns.T, strict=True):
+        refuse_late("the rigid motions of the stiffness were found")
+        image[:] = (extended @ extend(z)).double()
+    return images
 
 
 def is_rigid(matrix: Any, motions: Array) -> Mask:

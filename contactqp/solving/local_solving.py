@@ -106,10 +106,10 @@ def solve_local(
         names = ", ".join((*ALGORITHMS, ENUMERATION))
         raise InvalidProblem(f"algorithm: expected one of {names} or None, got {shown(algorithm)}")
     _refuse_options(method, algorithm, options)
-    if algorithm == ENUMERATION:
-        return _enumerated(problem, tolerance, only=True)
     settings = Settings(tolerance, max_iter, time_limit, None, options)
     with nullcontext() if time_limit is None else within_time(time_limit):
+        if algorithm == ENUMERATION:
+            return _enumerated(problem, tolerance, only=True)
         return _solved(problem, method, algorithm, settings, warm_start, polish)
 
 
@@ -158,11 +158,16 @@ def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[Lo
     """Return every answer of a local problem in the plane with at most eight contacts, one for each velocity.
 
     Raises Unsupported: the problem is in space, or has more contacts; NotConverged: no answer passes `tolerance`, and
-    some nearly do.
+    some nearly do, or the time is up; `solution` is then the nearest one so far.
     """
-    began, form = time.perf_counter(), LocalForm(problem)
+    began, form, found = time.perf_counter(), LocalForm(problem), list[LocalSolution]()
     judge = _Judge(form, tolerance)
-    found = [judge.solution(Outcome(iterate, ENUMERATION, True), began) for iterate in enumerated(form)]
+    try:
+        for iterate in enumerated(form):
+            found.append(judge.solution(Outcome(iterate, ENUMERATION, True), began))
+    except NotConverged as late:
+        late.solution = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
+        raise
     passed = tuple(solution for solution in found if solution.certificate.passed)
     near = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
     if not passed and near is not None and near.certificate.natural_map <= NEAR:

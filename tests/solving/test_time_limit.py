@@ -16,12 +16,14 @@ import contactqp as cq
 from contactqp.certificate import certificate, energy_bounds
 from contactqp.certificate.state_answer import OUT_OF_TIME
 from contactqp.errors import BackendFailed
-from contactqp.linalg import condensation, dense, multigrid, nonnegative, pardiso, schur
+from contactqp.linalg import condensation, dense, factorization, multigrid, nonnegative, pardiso, schur
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model import arrays
 from contactqp.model.solution import Answer
+from contactqp.solving import local_solving
 from contactqp.solving.friction.alart_curnier import newton
+from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.solving.friction.problems import rough_truss
@@ -208,7 +210,7 @@ def spheres(contacts: int = 40) -> cq.LocalProblem:
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("algorithm", [None, "newton", "nsgs", "ppa", "admm", "aclm"])
+@pytest.mark.parametrize("algorithm", [None, *ALGORITHMS])
 def test_a_local_problem_out_of_time_says_so_and_has_its_best_answer_judged(algorithm: str | None) -> None:
     problem = spheres()
     with pytest.raises(cq.NotConverged, match="stopped at the time limit of 1e-09 s") as caught:
@@ -216,6 +218,48 @@ def test_a_local_problem_out_of_time_says_so_and_has_its_best_answer_judged(algo
     found = caught.value.solution
     assert not found.certificate.passed
     assert found.certificate.natural_map > 1e-6
+
+
+def in_the_plane() -> cq.LocalProblem:
+    """Seven contacts, of which enumeration tries 4^7 combinations of open, stick and slip either way."""
+    H = np.random.default_rng(3).standard_normal((14, 14))
+    return cq.LocalProblem(delassus=H @ H.T, offset=-np.ones(14), friction=0.1, dimension=2)
+
+
+def test_combinations_are_enumerated_in_time(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time is up after the first answer, and that one is in the error."""
+    words = "time limit of 200 s, before every combination of open, stick and slip was tried"
+    problem, judged = in_the_plane(), local_solving._Judge.solution
+    whole = cq.solve(problem, algorithm="enumeration", time_limit=200.0)
+
+    def slowly(*arguments: Any) -> cq.LocalSolution:
+        clock.passes(300.0)
+        return judged(*arguments)
+
+    monkeypatch.setattr(local_solving._Judge, "solution", slowly)
+    with pytest.raises(cq.NotConverged, match=words) as caught:
+        cq.solve(problem, algorithm="enumeration", time_limit=200.0)
+    assert caught.value.solution.force == pytest.approx(whole.force, rel=1e-9)
+    with pytest.raises(cq.NotConverged, match="stopped at the time limit") as caught:
+        cq.solve(problem, algorithm="enumeration", time_limit=1e-9)
+    assert caught.value.solution is None
+
+
+@pytest.mark.parametrize("algorithm", ["tresca", "aclm"])
+def test_a_convex_step_on_polygons_is_condensed_in_time(algorithm: str, clock: Clock, monkeypatch: Any) -> None:
+    """The Delassus operator has forty motions without energy, and the time is up while these are found."""
+    images = factorization.SparseRows.__matmul__
+
+    def slowly(*arguments: Any) -> Any:
+        clock.passes(100.0)
+        return images(*arguments)
+
+    monkeypatch.setattr(factorization.SparseRows, "__matmul__", slowly)
+    began = clock()
+    with pytest.raises(cq.NotConverged, match="stopped at the time limit of 1000 s") as caught:
+        cq.solve(spheres(), algorithm=algorithm, time_limit=1000.0)
+    assert caught.value.solution is not None
+    assert clock() - began < 2000.0
 
 
 def test_newton_in_no_time_returns_where_it_starts() -> None:

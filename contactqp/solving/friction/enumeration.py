@@ -36,7 +36,7 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.measures import parts
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import Array, Mask, Vector, refuse_late
 from contactqp.model.coulomb import OPEN, STICK, Status, all_combinations
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -94,6 +94,7 @@ class Combinations:
         """Yield the combinations (m,) and their y (q,) whose signs hold, or fail by rounding at most."""
         combinations = all_combinations(self.coefficient)
         while batch := list(itertools.islice(combinations, BATCH)):
+            refuse_late("every combination of open, stick and slip was tried")
             yield from self._of_batch(np.array(batch, dtype=np.int8).reshape(len(batch), len(self.coefficient)))
 
     def _of_batch(self, status: Status) -> Iterator[tuple[Status, Vector]]:
@@ -116,6 +117,7 @@ class Combinations:
             solved = np.all(missing <= DOUBTFUL * abs(right) + rounding + self.nothing, axis=1)
             bound = (rank == values.shape[1]) & ~self._all_hold(status, y)  # no free component can repair its signs
             for b in np.flatnonzero(solved & (rank <= most) & ~bound):
+                refuse_late("every combination of open, stick and slip was tried")
                 free = rotation[b, rank[b] :]
                 if (found := self._with_signs(status[b], y[b], free, column[b])) is not None:
                     yield status[b], found
