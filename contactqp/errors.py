@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Sequence
 from decimal import Decimal
 from numbers import Number
+from pathlib import Path
 from reprlib import Repr
 from typing import Any
 
@@ -123,6 +124,64 @@ class Unsupported(ContactQPError):
     """The method or feature exists but does not support this; the message names both."""
 
     code = "unsupported"
+
+
+# Files of memory limits of control groups (versions 2 and 1): the folder, the limit, the usage, and the name of the
+# reclaimable file cache in it.
+_GROUPS = (
+    ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    ("/sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+)
+
+
+def free_memory() -> int | None:
+    """Return the bytes of memory available without swapping, within the limits of process and group.
+
+    None if the system does not report it.
+    """
+    limits = (_available(), *(_left_of(*group) for group in _GROUPS), _left_of_address_space())
+    return min((left for left in limits if left is not None), default=None)
+
+
+def _available() -> int | None:
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), None)
+    except (OSError, ValueError):
+        return None
+
+
+def _left_of(folder: str, limit: str, used: str, cached: str) -> int | None:
+    def read(name: str) -> str:
+        return Path(folder, name).read_text(encoding="ascii").strip()
+
+    try:
+        most = read(limit)
+        if most == "max":
+            return None
+        parts = dict(line.split() for line in read("memory.stat").splitlines())
+        return max(int(most) - int(read(used)) + int(parts.get(cached, 0)), 1)
+    except (OSError, ValueError):
+        return None
+
+
+def _left_of_address_space() -> int | None:
+    """Return the address space that `ulimit -v` leaves [bytes]."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        return None if limit == resource.RLIM_INFINITY else max(limit - pages * resource.getpagesize(), 1)
+    except (ImportError, OSError, ValueError):
+        return None
+
+
+def out_of_memory(error: MemoryError) -> Unsupported:
+    """Return the refusal of what memory does not hold: what was needed, what is free, and the cure."""
+    needed, free = str(error).partition("\n")[0] or "an array could not be allocated", free_memory()
+    left = "" if free is None else f", {free / 2**30:.1f} GiB are free"
+    return Unsupported(f"memory is full: {needed}{left}: free memory, or take fewer contacts or a coarser mesh")
 
 
 class StartWarning(UserWarning):

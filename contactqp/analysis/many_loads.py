@@ -34,11 +34,10 @@ from contactqp.analysis.rate_data import VECTORS
 from contactqp.certificate.bounds import REDUNDANT
 from contactqp.certificate.critical_friction import critical, too_many
 from contactqp.certificate.number_range import near_one
-from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted
+from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Unsupported, counted, free_memory
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.influence import Influence, ProvenForces, SolvedCases, held_by_springs
 from contactqp.linalg.iteration import Systems, systems_of
-from contactqp.linalg.runtime import free_memory
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import METHOD, Array, Vector, one_blas_thread, own_floating_point, stage, telling
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK

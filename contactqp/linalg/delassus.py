@@ -37,20 +37,18 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import REGULAR, DenseCholesky, orthonormal_motions
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
 from contactqp.linalg.measures import directions, lengths
-from contactqp.linalg.runtime import lapack
+from contactqp.linalg.runtime import lapack, refuse_more_than_memory
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 
-# Joints whose smallest singular value is less than this part of the largest leave a body floating.
-FLOATING = 1e-9
-# The most entries of responses whose residuals are formed to measure the rounding of the stiffness.
-MUCH, MOST_MEASURED = 1e-6, 2_000_000
-# Ties fix a contact if they reduce its compliance to this part of that without ties.
-HELD = 1e-13
+FLOATING = 1e-9  # joints whose smallest singular value is below this part of the largest leave a body floating
+MUCH, MOST_MEASURED = 1e-6, 2_000_000  # entries of responses whose residuals measure the rounding of the stiffness
+HELD = 1e-13  # ties fix a contact if they reduce its compliance to this part of that without ties
 # The most sweeps of refinement, and the largest relative change of forces in the last one.
 SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
+DENSE_ROWS, LITTLE = 4, 2.0**24  # copies of the rows that are made at a time, and entries that fit into any memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +153,7 @@ def contact_compliance(problem: ContactProblem, condensation: Condensation) -> C
 
 def _made(problem: ContactProblem, condensation: Condensation) -> ContactCompliance:
     scale, m = condensation.scale, problem.contacts
+    _refuse_too_many(problem, len(scale))
     tangent = np.zeros((0, len(scale))) if condensation.tangent is None else condensation.tangent.toarray() * scale
     width = len(tangent) // m if m else 0
     rows = np.concatenate([(condensation.normal * scale)[:, None], tangent.reshape(m, width, -1)], axis=1)
@@ -162,17 +161,15 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     Z = orthonormal_motions(condensation)
     factor = None
     if len(scale):
-        S = condensation.schur * (scale[:, None] * scale)
-        factor = DenseCholesky(S + tie.T @ tie + Z @ Z.T)
+        factor = DenseCholesky(condensation.schur * (scale[:, None] * scale) + tie.T @ tie + Z @ Z.T)
     normal = rows[:, 0]
     size = np.sqrt(np.einsum("ij,ji->i", normal, normal.T if factor is None else factor.solve(normal.T)))
     size = np.where(size > 0, size, 1.0)
     R = (rows / size[:, None, None]).reshape(m * (1 + width), -1)
     C = np.vstack([tie, -Z.T])
-    both = np.vstack([R, C])
+    both, n = np.vstack([R, C]), len(R)
     G = both @ (both.T if factor is None else factor.solve(both.T))
     G = (G + G.T) / 2
-    n = len(R)
     W, V, J = G[:n, :n], G[:n, n:], G[n:, n:] - np.diag(np.r_[np.zeros(len(tie)), np.ones(Z.shape[1])])
     elimination, before, grown = np.zeros((n, 0)), W.diagonal(), 0.0
     if len(J) and (inverse := _regular_inverse(J, len(tie))) is not None:
@@ -403,16 +400,24 @@ def condensed_frictional_rows(problem: ContactProblem, condensation: Condensatio
     """Return the scaled rows of a problem, computed once for its coefficients and condensation."""
     cached = problem._computed.frictional_rows
     if cached is None or cached[1] is not condensation or np.any(cached[0] != problem.friction):
+        _refuse_too_many(problem, len(condensation.scale))
         rows = FrictionalRows(problem, condensation)
         cached = problem._computed.frictional_rows = problem.friction, condensation, rows
     found: FrictionalRows = cached[2]
     return found
 
 
+def _refuse_too_many(problem: ContactProblem, retained: int) -> None:
+    """Raise Unsupported where the dense operators of contacts with friction do not fit into memory."""
+    count = problem.ties + problem.contacts + (0 if problem.tangent is None else problem.tangent.shape[0])
+    if (size := (DENSE_ROWS * count + retained) * retained + count**2) > LITTLE:
+        what = f"dense operators of {problem.contacts} contacts with friction and {retained} unknowns at them"
+        refuse_more_than_memory(what, size)
+
+
 def _unit(rows: Array) -> tuple[Array, Vector]:
     """Return rows scaled to unit length and the original lengths; an empty row is unchanged."""
-    length = np.linalg.norm(rows, axis=1)
-    length = np.where(length > 0, length, 1.0)
+    length = _lengths(rows)
     return rows / length[:, None], length
 
 
@@ -425,8 +430,7 @@ class AcrossSlips:
     compliance: Vector  # (a,) |s| / mu l_N of the forces along them
 
 
-# In the plane no slip turns.
-NONE_ACROSS = AcrossSlips(np.zeros(0, dtype=np.intp), np.zeros((0, 1)), np.zeros(0))
+NONE_ACROSS = AcrossSlips(np.zeros(0, dtype=np.intp), np.zeros((0, 1)), np.zeros(0))  # in the plane no slip turns
 
 
 def across_slips(directions: Array, turning: Vector) -> AcrossSlips:

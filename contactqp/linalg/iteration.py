@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed, BackendMissing, Unsupported
+from contactqp.errors import BackendFailed, BackendMissing, Unsupported, free_memory
 from contactqp.linalg import pardiso, schur
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import RigidMotions
@@ -26,7 +26,7 @@ from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, Constrain
 from contactqp.linalg.measures import sizes_of
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available
 from contactqp.linalg.pardiso import SOLVER_VARIABLE
-from contactqp.linalg.runtime import free_memory
+from contactqp.linalg.runtime import LITTLE_MEMORY
 from contactqp.linalg.v_cycle import HeldHierarchy
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
@@ -39,8 +39,8 @@ MOST_OPERATIONS, COUPLED = 7e12, 40
 MOST_WITH_FRICTION, MANY_WITH_FRICTION = 1.75e10, 300
 # Entries of the factors of a cube of n unknowns over n^(4/3), measured at 74 000 and 180 000 unknowns with PARDISO.
 ENTRIES_IN_SPACE = 43
-# Factors of fewer bytes fit into any memory; and the unknowns of a node in space.
-LITTLE_MEMORY, AXES = 2.0**29, 3
+# The unknowns of a node in space.
+AXES = 3
 # With more contact unknowns than this, dense systems cost more than one or two sparse factorisations.
 MANY = 3000
 # Up to this size a large floating body is factorised by SuperLU; beyond it the factors exceed typical memory.

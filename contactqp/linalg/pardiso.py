@@ -20,8 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.errors import BackendFailed, BackendMissing
-from contactqp.linalg.runtime import free_memory, stoppable
+from contactqp.errors import BackendFailed, BackendMissing, free_memory
+from contactqp.linalg.runtime import MOST_OF_MEMORY, stoppable
 from contactqp.model.arrays import Array, Indices, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -36,8 +36,6 @@ STATED_ORDER, ORDER_RETURNED = 1, 2
 PEAK_OF_ANALYSIS, STAYS, OF_FACTORS = 14, 15, 16
 # The place where the analysis reports the entries of the factors, if it holds a negative number before.
 ENTRIES, ASKED = 17, -1
-# Factors are refused if they are predicted to exceed this part of the free memory.
-MOST_OF_MEMORY = 0.95
 # Unsymmetric matrices are scaled and matched, which moves large entries to the diagonal.
 SCALING, MATCHING = 10, 12
 # The environment variable of pypardiso with the path of the library.

@@ -17,12 +17,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from contactqp.errors import BackendFailed, InvalidProblem, shown
+from contactqp.errors import BackendFailed, InvalidProblem, Unsupported, free_memory, shown
 from contactqp.model.arrays import refuse_late, renew_in_child, seconds_left
 
 
@@ -109,55 +108,19 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# Files of memory limits of control groups (versions 2 and 1): the folder, the limit, the usage, and the name of the
-# reclaimable file cache in it.
-_GROUPS = (
-    ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
-    ("/sys/fs/cgroup/memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
-)
+# What is predicted to exceed this part of the free memory is refused; fewer bytes fit into any memory.
+MOST_OF_MEMORY, LITTLE_MEMORY = 0.95, 2.0**29
 
 
-def free_memory() -> int | None:
-    """Return the bytes of memory available without swapping, within the limits of process and group.
-
-    None if the system does not report it.
-    """
-    limits = (_available(), *(_left_of(*group) for group in _GROUPS), _left_of_address_space())
-    return min((left for left in limits if left is not None), default=None)
-
-
-def _available() -> int | None:
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), None)
-    except (OSError, ValueError):
-        return None
-
-
-def _left_of(folder: str, limit: str, used: str, cached: str) -> int | None:
-    def read(name: str) -> str:
-        return Path(folder, name).read_text(encoding="ascii").strip()
-
-    try:
-        most = read(limit)
-        if most == "max":
-            return None
-        parts = dict(line.split() for line in read("memory.stat").splitlines())
-        return max(int(most) - int(read(used)) + int(parts.get(cached, 0)), 1)
-    except (OSError, ValueError):
-        return None
-
-
-def _left_of_address_space() -> int | None:
-    """Return the address space that `ulimit -v` leaves [bytes]."""
-    try:
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        return None if limit == resource.RLIM_INFINITY else max(limit - pages * resource.getpagesize(), 1)
-    except (ImportError, OSError, ValueError):
-        return None
+def refuse_more_than_memory(what: str, entries: float) -> None:
+    """Raise Unsupported where so many doubles would not fit into memory, before the system ends the process."""
+    needed = entries * np.dtype(float).itemsize
+    free = free_memory() if needed > LITTLE_MEMORY else None
+    if free is not None and needed > MOST_OF_MEMORY * free:
+        raise Unsupported(
+            f"{what} need about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: free memory, leave contacts "
+            "that cannot close out, or take a coarser mesh"
+        )
 
 
 # The type of MKL's progress function: thread, step, name of the stage and its length; and what is being factorised.

@@ -23,7 +23,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from contactqp.errors import InvalidProblem, NotConverged, WrongCall, no_argument
+from contactqp.errors import InvalidProblem, NotConverged, WrongCall, no_argument, out_of_memory
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]  # one number an unknown, contact, tie
@@ -91,8 +91,8 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
 
     The result is then infinite or NaN, which no certificate passes. Under `np.seterr(all="raise")`, or with warnings as
     errors, harmless underflow would otherwise raise a foreign exception. Where a factorisation fails on such numbers,
-    the error states that the numbers of the problem are too far apart. A call that does not fit the signature raises an
-    error with the nearest names.
+    the error states that the numbers of the problem are too far apart, and where memory is full, what was needed and
+    what is free. A call that does not fit the signature raises an error with the nearest names.
     """
 
     @wraps(function)
@@ -104,6 +104,8 @@ def own_floating_point(function: Callable[P, R]) -> Callable[P, R]:
                 if str(error).lower() not in NOT_FINITE:
                     raise
                 raise InvalidProblem(TOO_FAR_APART.format(error)) from error
+            except MemoryError as error:
+                raise out_of_memory(error) from None
             except TypeError:
                 _refuse_misfit(function, args, kwargs)
                 raise

@@ -10,9 +10,12 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import iteration, multigrid, pardiso, runtime, sparse_saddle
-from contactqp.linalg.runtime import free_memory
+from contactqp import errors
+from contactqp.errors import free_memory
+from contactqp.linalg import delassus, iteration, multigrid, pardiso, runtime, sparse_saddle
+from contactqp.solving.friction import local_form
 from tests.blocks_in_space import fresh, on_paraboloid, on_sphere
+from tests.solving.friction.space import block
 
 needs_pyamg = pytest.mark.skipif(not multigrid.available(), reason="needs pyamg")
 needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
@@ -133,12 +136,46 @@ def test_files_that_a_group_caches_are_free_memory(
     written = {"memory.max": limit, "memory.current": str(2**33), "memory.stat": f"anon 5\ninactive_file {2**32}\n"}
     for name, text in written.items():
         (tmp_path / name).write_text(text)
-    monkeypatch.setattr(runtime, "_GROUPS", ((str(tmp_path), "memory.max", "memory.current", "inactive_file"),))
-    monkeypatch.setattr(runtime, "_available", lambda: None)
-    monkeypatch.setattr(runtime, "_left_of_address_space", lambda: None)
+    monkeypatch.setattr(errors, "_GROUPS", ((str(tmp_path), "memory.max", "memory.current", "inactive_file"),))
+    monkeypatch.setattr(errors, "_available", lambda: None)
+    monkeypatch.setattr(errors, "_left_of_address_space", lambda: None)
     assert free_memory() == free
 
 
 def test_free_memory_is_that_of_the_machine_or_less() -> None:
     free = free_memory()
     assert free is None or 0 < free < 2**50
+
+
+def test_what_memory_does_not_hold_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NumPy's MemoryError, wherever it comes from in a call, is one of this package that says what is free."""
+
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 244. MiB for an array with shape (4000, 8000)\nand more")
+
+    monkeypatch.setattr(delassus, "_unit", full)
+    monkeypatch.setattr(errors, "free_memory", lambda: 2**30)
+    words = (
+        r"memory is full: Unable to allocate 244. MiB .*8000\), 1.0 GiB are free: free memory, or take fewer contacts"
+    )
+    rough = block([1.0, 0.0])
+    for call in (lambda: cq.solve(fresh(rough)), lambda: cq.follow_path(fresh(rough), [rough.load], steps=2)):
+        with pytest.raises(cq.Unsupported, match=words) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_dense_operators_of_contacts_with_friction_are_refused_before_they_fill_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(runtime, "free_memory", lambda: 2**8)
+    monkeypatch.setattr(runtime, "LITTLE_MEMORY", 0)
+    monkeypatch.setattr(delassus, "LITTLE", 0)
+    monkeypatch.setattr(local_form, "DENSE_SIZE", 0)
+    with pytest.raises(
+        cq.Unsupported, match=r"contacts with friction and .* need about .* GiB, .* are free: free memory"
+    ):
+        cq.solve(fresh(block([1.0, 0.0])))
+    coupled = cq.LocalProblem(delassus=np.eye(30) + 0.1, offset=-np.ones(30), friction=0.3, dimension=3)
+    with pytest.raises(cq.Unsupported, match=r"operators of 10 contacts need about .* GiB, .* are free: free memory"):
+        cq.solve(coupled)

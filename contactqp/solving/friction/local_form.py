@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.coulomb_law import natural_map
 from contactqp.errors import InvalidProblem, NotConverged
-from contactqp.linalg.runtime import lapack
+from contactqp.linalg.runtime import lapack, refuse_more_than_memory
 from contactqp.model.arrays import Array, Indices, Mask, Vector, seconds_left, stated_limit
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.solution import Answer
@@ -30,6 +30,8 @@ from contactqp.model.solution import Answer
 # Operators beyond this size, with a part of nonzero entries below this, are stored and factorised sparse.
 DENSE_SIZE = 150
 SPARSE_DENSITY = 0.05
+# The dense matrices of an algorithm at a time.
+COPIES = 4
 # A regularisation of the equations of motions that no contact resists, which do not influence any force.
 JOINT_REGULARISATION = 1e-12
 
@@ -52,6 +54,8 @@ class LocalForm:
         self._velocity_size, self._force_size = problem.typical_velocity, force_size
         W = problem.scaled_delassus if force_size == 1.0 else problem.scaled_delassus * force_size
         self.sparse = W.shape[0] > DENSE_SIZE and W.nnz < SPARSE_DENSITY * W.shape[0] ** 2
+        if not self.sparse and W.shape[0] > DENSE_SIZE:
+            refuse_more_than_memory(f"dense operators of {self.m} contacts", COPIES * float(W.shape[0]) ** 2)
         self.W: Any = W if self.sparse else W.toarray()
         self.q = self._contact_scale * problem.offset / self._velocity_size
         self.V = problem.bilateral.toarray() * np.outer(self._contact_scale, self._joint_scale)

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, shown
+from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, free_memory, shown
 from contactqp.linalg.iteration import constraints_are_many
-from contactqp.linalg.pardiso import MOST_OF_MEMORY
-from contactqp.linalg.runtime import free_memory
+from contactqp.linalg.runtime import MOST_OF_MEMORY
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole, refuse_not_positive
 from contactqp.model.solution import Candidate, Solution
