@@ -31,8 +31,10 @@ from contactqp.model.problem import ContactProblem
 MOST_COUNTED = 5
 # The most underdetermined systems, each of which needs some linear programs.
 MOST_LOOSE = 30
-# The size of systems that are solved in rational numbers, in about ten milliseconds.
+# The size of systems that are solved in rational numbers, each in up to forty milliseconds.
 MOST_EXACT = 24
+# The most systems times the cube of their size, in about a second.
+EXACT_OPERATIONS = 5e5
 # Signs that fail by less than this part of the lengths or the force of their contact may be rounding.
 DOUBTFUL = 1e-9
 # Signs along families that fail by more than this part are not due to rounding of data.
@@ -57,16 +59,21 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
     cached = problem._computed.several_answers
     if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
-        several = _several_answers(problem, condensation, DOUBTFUL)
-        if several and not _is_small(problem) and not _several_answers(problem, condensation, SURE):
-            several = None
+        several, status = _several_answers(problem, condensation, DOUBTFUL)
+        if several and _is_small(problem, len(status)):
+            several = _exactly_several(problem, status) or None
+        elif several:
+            several = _several_answers(problem, condensation, SURE)[0] or None
         cached = problem._computed.several_answers = of, several
     found: bool | None = cached[1]
     return found
 
 
-def _several_answers(problem: ContactProblem, condensation: Condensation, doubtful: float) -> bool | None:
-    """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are.
+def _several_answers(
+    problem: ContactProblem, condensation: Condensation, doubtful: float
+) -> tuple[bool | None, NDArray[np.int8]]:
+    """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are; and the
+    combinations (c, m) that may have them.
 
     Parameters
     ----------
@@ -97,16 +104,15 @@ def _several_answers(problem: ContactProblem, condensation: Condensation, doubtf
         if signs.may_hold:
             loose[b] = signs
     if len(loose) > MOST_LOOSE:
-        return None
+        return None, status
     for signs in loose.values():
         if (extremes := signs.extremes()) is None:
-            return None
+            return None, status
         found += [_Found(one, None, False, 0.0) for one in extremes]
+    asked = status[[*np.flatnonzero(held), *loose]]
     if doubtful <= SURE:
-        return _surely_several(system, found)
-    if all(system.apart(one, found[0]) is False for one in found[1:]):
-        return False
-    return not _is_small(problem) or _exactly_several(problem, status[[*np.flatnonzero(held), *loose]]) or None
+        return _surely_several(system, found), asked
+    return len(found) > 1 and any(apart is not False for apart in system.apart(found[0], found[1:])), asked
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
@@ -116,8 +122,9 @@ def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
     return rotation[kept].T @ ((left.T @ right)[kept] / values[kept]), rotation[~kept]
 
 
-def _is_small(problem: ContactProblem) -> bool:
-    return problem.dimension + 2 * problem.contacts + problem.ties <= MOST_EXACT
+def _is_small(problem: ContactProblem, systems: int) -> bool:
+    size = problem.dimension + 2 * problem.contacts + problem.ties
+    return size <= MOST_EXACT and systems * size**3 <= EXACT_OPERATIONS
 
 
 def _exactly_several(problem: ContactProblem, status: NDArray[np.int8]) -> bool:
@@ -198,7 +205,7 @@ def _surely_several(system: _Systems, found: list[_Found]) -> bool:
     the law maps a neighbourhood of it onto a neighbourhood of its load, so the answer persists; otherwise the load may
     be at the limit of those with such answers.
     """
-    apart = [[system.apart(one, other) for other in found] for one in found]
+    apart = [system.apart(one, found) for one in found]
     stays = [
         one.clear or all(other.side * one.side > 0 for other, far in zip(found, row, strict=True) if far is not True)
         for one, row in zip(found, apart, strict=True)
@@ -315,18 +322,18 @@ class _Systems:
         rows = [-self._slope[2 * opened], unit[2 * closed], bound - friction, bound + friction, slip]
         return room, np.vstack(rows) if m else np.zeros((0, len(unit)))
 
-    def apart(self, one: _Found, other: _Found) -> bool | None:
-        """Return whether two answers displace any contact differently, None if that is uncertain."""
-        sizes, change = abs(self._felt) @ np.maximum(abs(one.y), abs(other.y)), abs(self._felt @ (one.y - other.y))
-        given = self._given.ravel()[self._acting_rows]
-        if one.off is None or other.off is None:
-            same, far = NOTHING * (sizes + given) + SAFE * self.nothing, PROGRAMMED * (sizes + given)
-        else:
-            far = (one.off + other.off).ravel()[self._acting_rows]
-            same = np.minimum(far, SAME * (sizes + given) + 10 * self.nothing)
-        if np.any(change > np.maximum(far, same)):
-            return True
-        return False if np.all(change <= same) else None
+    def apart(self, one: _Found, others: list[_Found]) -> list[bool | None]:
+        """Return of each of the others whether it displaces any contact differently, None if that is uncertain."""
+        y, of_family = np.array([other.y for other in others]), np.zeros_like(self._given)
+        sizes = np.maximum(abs(one.y), abs(y)) @ abs(self._felt).T
+        change, meeting = abs((one.y - y) @ self._felt.T), sizes + self._given.ravel()[self._acting_rows]
+        off = np.array([of_family if one.off is None or other.off is None else one.off + other.off for other in others])
+        exact = np.array([one.off is not None and other.off is not None for other in others])[:, None]
+        far = np.where(exact, off.reshape(len(others), -1)[:, self._acting_rows], PROGRAMMED * meeting)
+        nearly = np.minimum(far, SAME * meeting + 10 * self.nothing)
+        same = np.where(exact, nearly, NOTHING * meeting + SAFE * self.nothing)
+        surely, equal = np.any(change > np.maximum(far, same), axis=1), np.all(change <= same, axis=1)
+        return [True if differs else False if agrees else None for differs, agrees in zip(surely, equal, strict=True)]
 
     def moving(self, free: Array) -> Array:
         """Return the nonzero displacements of contacts by free directions (k, q) as rows (r, k)."""

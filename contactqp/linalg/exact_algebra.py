@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import gcd, lcm
 from typing import Any
 
 Row = list[Fraction]
@@ -37,21 +38,36 @@ def dot(one: Sequence[Fraction], other: Sequence[Fraction]) -> Fraction:
 def reduced(rows: list[Row], columns: int) -> tuple[list[Row], list[int]]:
     """Return the reduced row echelon form, with pivots among the first `columns`, and the columns of its pivots.
 
-    Rows without a pivot come last.
+    Rows without a pivot come last. Rows are eliminated as integers without a common divisor: dividing once a row costs
+    a third of dividing each of its fractions.
     """
-    rows, pivots = list(rows), list[int]()
+    taken = [Fraction(lcm(*(x.denominator for x in row))) for row in rows]  # the multiple of each row that is kept
+    whole = [[int(x * size) for x in row] for row, size in zip(rows, taken, strict=True)]
+    pivots = list[int]()
     for j in range(columns):
         r = len(pivots)
-        pivot = next((i for i in range(r, len(rows)) if rows[i][j]), None)
+        pivot = next((i for i in range(r, len(whole)) if whole[i][j]), None)
         if pivot is None:
             continue
-        rows[r], rows[pivot] = rows[pivot], rows[r]
-        lead = rows[r] = [x / rows[r][j] if x else ZERO for x in rows[r]]
-        for i, row in enumerate(rows):
-            if i != r and (factor := row[j]):
-                rows[i] = [x - factor * y if y else x for x, y in zip(row, lead, strict=True)]
+        whole[r], whole[pivot], taken[r], taken[pivot] = whole[pivot], whole[r], taken[pivot], taken[r]
+        lead = whole[r]
+        for i, row in enumerate(whole):
+            if i != r and row[j]:
+                common = gcd(lead[j], row[j])
+                by, factor = lead[j] // common, row[j] // common
+                whole[i], divisor = _primitive(
+                    [by * x - factor * y if y else by * x for x, y in zip(row, lead, strict=True)]
+                )
+                taken[i] *= Fraction(by, divisor)
         pivots.append(j)
-    return rows, pivots
+    sizes = [*(Fraction(row[j]) for row, j in zip(whole, pivots, strict=False)), *taken[len(pivots) :]]
+    return [[x / size if x else ZERO for x in row] for row, size in zip(whole, sizes, strict=True)], pivots
+
+
+def _primitive(row: list[int]) -> tuple[list[int], int]:
+    """Return a row of integers without its greatest common divisor, and that."""
+    divisor = gcd(*row) or 1
+    return row if divisor == 1 else [x // divisor for x in row], divisor
 
 
 def solutions(rows: list[Row], unknowns: int) -> Affine | None:

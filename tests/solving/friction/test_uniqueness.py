@@ -429,3 +429,34 @@ def test_a_block_near_its_limit_has_several_answers_only_at_the_limit(short: flo
     assert claimed in cq.solve(block).certificate.uniqueness
     (exact,) = cq.exact_equilibria(block)
     assert ("one of a continuum" in repr(exact)) == (short == 0)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_answers_that_rounding_hides_are_not_solved_one_by_one(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With conditions of 1e12 the signs of hundreds of combinations may hold: in rational numbers these took 50 s."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(14, 14)) * 10.0 ** rng.uniform(-3, 3, 14)
+    normal, tangent = rng.normal(size=(2, 5, 14))
+    u, force, K = rng.normal(size=14), rng.uniform(1, 2, 5), A @ A.T
+    K = (K + K.T) / 2
+    load = K @ u + normal.T @ force
+    problem = cq.ContactProblem(
+        K, load, normal, normal @ u, tangent=tangent, friction=np.full(5, 0.6), slip_origin=tangent @ u
+    )
+    exact, asked = other_answers._exact_motions, list[int]()
+    monkeypatch.setattr(other_answers, "_exact_motions", lambda *given: asked.append(24**3) or exact(*given))
+    assert cq.solve(problem).certificate.uniqueness == (POSSIBLE,)
+    assert sum(asked) <= other_answers.EXACT_OPERATIONS
+
+
+def test_differences_of_answers_are_those_of_each_pair() -> None:
+    """Two answers that differ, one that is the same up to rounding, and one whose rounding leaves it open."""
+    problem = two_masses(0.5)
+    system = other_answers._Systems(problem, condense(problem), 1e-9)
+    y = np.zeros(system._slope.shape[1])
+    force, off = np.eye(len(y))[0], np.zeros((problem.contacts, 2))
+    here = other_answers._Found(y, off, True, 1.0)
+    there = other_answers._Found(y + force, off, True, 1.0)
+    beside = other_answers._Found(y + 1e-15 * force, off + 1e-12, True, 1.0)
+    unsure = other_answers._Found(y + 1e-3 * force, off + 1e9, True, 1.0)
+    assert system.apart(here, [here, there, beside, unsure]) == [False, True, False, None]
