@@ -216,8 +216,8 @@ ATTEMPTS = (
 )
 # The numbers of short and of long attempts among them.
 SHORT_ATTEMPTS, LONG_ATTEMPTS = 2, 2
-# An iterate satisfies the law if it violates it by less than this part of the typical gap or slip.
-SOLVED = 1e-10
+# An iterate satisfies the law to rounding if it violates it by less than this part of the typical gap or slip.
+SOLVED = 1e-14
 # Algorithms that do not profit from a start.
 FROM_THE_START = ("nsgs", "admm", "aclm", "tresca", "combinations")
 # Algorithms from whose unsuccessful iterates no other one starts. In the plane all combinations are listed instead, and

@@ -177,3 +177,45 @@ def test_a_contact_on_springs_many_decades_apart_is_solved(decades: float) -> No
     assert solution.displacement == pytest.approx(u, rel=1e-9)
     assert cq.certify(problem, u, [5.0], [0.5]).passed
     assert not cq.certify(problem, u, [5.005], [0.5]).passed
+
+
+def test_an_iterate_that_meets_the_law_is_no_end_where_the_stiffness_is_ill_conditioned() -> None:
+    """K spans ten decades, forces in error by 1e-13 of the law are no answer yet, and another algorithm has it."""
+    factor = np.array(
+        [
+            [2.2e-04, 4.4e-04, 1.3e-03, 1.4e-03, -1.5e-01, 6.3e-01, -2.4],
+            [-3.5e-05, 5.7e-04, -6.2e-04, 9.7e-04, -1.8e-01, -1.2, 2.8],
+            [-4.5e-05, 1.1e-04, 3.7e-03, -4.8e-03, 8.0e-02, -3.7e-01, -2.7],
+            [-1.4e-04, 5.8e-04, -5.5e-04, 9.1e-04, 1.4e-01, 6.1e-01, -15.0],
+            [2.6e-05, 3.5e-04, -1.6e-04, 3.3e-04, 2.7e-01, 1.1e-01, 23.0],
+            [-1.4e-04, -8.7e-05, 2.0e-03, 6.5e-03, -1.4e-01, 3.3e-01, 9.2],
+            [-9.2e-05, 1.2e-04, -7.1e-04, -6.0e-03, -2.4e-01, 7.0e-01, 11.0],
+        ]
+    )
+    normal, tangent = np.zeros((3, 7)), np.zeros((6, 7))
+    normal[0, [1, 2, 5]], normal[1, [0, 1, 4]], normal[2, [0, 5, 6]] = (
+        [-0.041, 2.9, -1.1],
+        [-1, -0.021, 0.066],
+        [-0.29, -2.5, 1.7],
+    )
+    tangent[0, [1, 2, 5]], tangent[1, [1, 2, 5]] = [0.8, -0.26, -0.46], [0.66, -0.12, 0.47]
+    tangent[2, [0, 1, 4]], tangent[3, [0, 1, 4]] = [0.033, 0.7, 0.72], [0.061, -0.72, 0.7]
+    tangent[4, [0, 5, 6]], tangent[5, [0, 5, 6]] = [0.006, 0.63, -0.19], [-0.86, 0.48, 0.93]
+    u, force = np.array([0.53, 1.1, 0.77, -0.98, -0.38, -1.0, -0.85]), np.array([0.96, 0.15, 2.1])
+    friction, along = np.array([0.6, 0.3, 0.6]), np.array([[-0.12, -0.99], [0.97, 0.25], [0.0, 0.0]])
+    along[:2] /= np.linalg.norm(along[:2], axis=1)[:, None]
+    drag = (friction * force)[:, None] * along + np.array([[0.0, 0.0], [0.0, 0.0], [0.042, -0.19]])
+    slip = np.array([0.011, 2.8e-4, 0.0])[:, None] * along
+    K = factor @ factor.T
+    problem = cq.ContactProblem(
+        (K + K.T) / 2,
+        K @ u + normal.T @ force + tangent.T @ drag.ravel(),
+        normal,
+        normal @ u,
+        tangent=tangent,
+        friction=friction,
+        slip_origin=tangent @ u - slip.ravel(),
+    )
+    solution = cq.solve(problem)
+    assert solution.normal_force == pytest.approx(force, rel=1e-7)
+    assert solution.friction_force == pytest.approx(drag, rel=1e-7)
