@@ -492,7 +492,7 @@ def _refuse_method(method: Method) -> None:
         )
     if not method.semidefinite:
         raise Unsupported(
-            f"{method.name}: the convex steps of Coulomb friction have a singular stiffness; try active-set"
+            f"{method.name}: steps of Coulomb friction may be singular, and it takes no such; try active-set"
         )
 
 
