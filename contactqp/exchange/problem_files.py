@@ -345,10 +345,10 @@ class Entries:
 
 
 def _with_names(text: str, names: list[str] | None) -> str:
-    """Return a text in which names stand for the numbers of unknowns, as in K[0, 1] or "at unknown 3"."""
+    """Return a text in which names stand for the numbers of unknowns, as in P[0, 1] or "at unknown 3"."""
     if names is None:
         return text
-    text = re.sub(r"K\[(\d+), (\d+)\]", lambda found: f"K[{names[int(found[1])]}, {names[int(found[2])]}]", text)
+    text = re.sub(r"P\[(\d+), (\d+)\]", lambda found: f"P[{names[int(found[1])]}, {names[int(found[2])]}]", text)
     return re.sub(r"unknown (\d+)", lambda found: f"unknown {names[int(found[1])]}", text)
 
 

@@ -45,7 +45,7 @@ from contactqp.model.problem_data import (
     rows_of_dense,
 )
 from contactqp.model.problem_data import Matrix as Matrix
-from contactqp.model.quadratic_program import QuadraticProgram, contact_data, given_program, quadratic_program
+from contactqp.model.quadratic_program import QuadraticProgram, given_program, of_program, quadratic_program
 
 MEASURED = ("asymmetry", "rigid_change")  # found while a stiffness was read
 CARRIED = ("load_sum", "_computed")  # arguments of derived problems beside their data
@@ -209,7 +209,7 @@ class ContactProblem:
         >>> problem.contact_names
         ('upper 0', 'upper 1')
         """
-        return cls(**contact_data(given_program(P, q, G, h, A, b, lb, ub), **ranges))
+        return of_program(cls, given_program(P, q, G, h, A, b, lb, ub), **ranges)
 
     def to_qp(self) -> QuadraticProgram:
         """Return this frictionless problem with the arguments of `qpsolvers.Problem`.

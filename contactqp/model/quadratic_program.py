@@ -13,9 +13,9 @@ the lower one. Contacts and ties are named by kind and number, or by the name of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,6 +26,7 @@ from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.names import read_names
 from contactqp.model.problem_data import read_array
 
+Problem = TypeVar("Problem")
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
 Names = tuple[list[str], list[str]]  # of contacts and of ties
 # The first words of the names of contacts and ties made of bounds, before the unknown.
@@ -147,6 +148,20 @@ def _given(matrix: str, rows: Any, vector: str, limit: ArrayLike | None, n: int)
     if vector == "h" and (values == -np.inf).any():
         raise InvalidProblem(f"h: expected a number or inf, got -inf at [{int(np.argmax(values == -np.inf))}]")
     return read, values
+
+
+def of_program(make: Callable[..., Problem], given: QuadraticProgram, **ranges: Any) -> Problem:
+    """Return what `make` makes of the contact data of a program, by the keywords of `contact_data`.
+
+    Raises InvalidProblem; where the matrix is refused, by the name of P instead of that of a stiffness K.
+    """
+    try:
+        return make(**contact_data(given, **ranges))
+    except InvalidProblem as refused:
+        if not (text := str(refused)).startswith("stiffness: "):
+            raise
+        text = text.replace("stiffness: ", "P: ", 1).replace("K[", "P[").replace("z'Kz", "z'Pz")
+        raise InvalidProblem(text) from None
 
 
 def _refuse_other_than_square(P: Any, n: int) -> None:

@@ -279,8 +279,8 @@ def test_programs_that_are_not_convex_name_file_and_unknown(tmp_path: Path) -> N
     path = tmp_path / "t.qps"
     for before, after, message in (
         ("20.0", "-20.0", "bounds of c1: expected a lower one at most the upper one, got 0 above -20"),
-        ("c2       10.0", "c2       -10.0", r"stiffness: expected positive semidefinite, got K\[c2, c2\] = -10"),
-        ("c2       10.0", "c2       0.25", r"stiffness: indefinite, \|K\[c1, c2\]\| = 2 exceeds"),
+        ("c2       10.0", "c2       -10.0", r"P: expected positive semidefinite, got P\[c2, c2\] = -10"),
+        ("c2       10.0", "c2       0.25", r"P: indefinite, \|P\[c1, c2\]\| = 2 exceeds"),
     ):
         path.write_text(QPS.replace(before, after))
         with pytest.raises(cq.InvalidProblem, match=rf"t\.qps: {message}"):
@@ -395,6 +395,7 @@ WRONG: dict[str, tuple[dict[str, object], str]] = {
     "q too long": ({"q": np.ones(3)}, "q: expected 2 entries, one for each row of P, got 3"),
     "h that nothing satisfies": ({"h": [1.0, -np.inf]}, r"h: expected a number or inf, got -inf at \[1\]"),
     "b infinite": ({"b": [np.inf]}, r"b: expected finite numbers, got inf at \[0\]"),
+    "P not convex": ({"P": [[1.0, 2.0], [2.0, 1.0]]}, r"P: indefinite, \|P\[0, 1\]\| = 2 exceeds"),
     "lb infinite": ({"lb": [0.0, np.inf]}, "lb: expected a number or -inf, got inf at 1"),
 }
 
