@@ -19,25 +19,19 @@ from contactqp.model.solution import Answer, Candidate, NegligibleSizes
 
 # Rounds of equilibration, after which row and column maxima differ by little more than powers of two.
 ROUNDS = 12
-# Sweeps over rows and columns for a mean of entries near one in programs.
-BALANCING_ROUNDS = 20
+BALANCING_ROUNDS = 20  # sweeps over rows and columns for a mean of entries near one in programs
 # Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
 NEAR_ONE = 1.1
-# Rows larger than this, or smaller than its inverse, are scaled separately from their unknowns.
-OWN_UNIT_OF_A_ROW = 1e9
-# The most unknowns without stiffness in a contact problem of bodies; a quadratic program has more.
-MOST_BARE = 6
-# Without imposed lengths, lengths below this part of the load count as zero.
-NO_LENGTH = 1e-6
+OWN_UNIT_OF_A_ROW = 1e9  # rows larger than this, or smaller than its inverse, are scaled separately from their unknowns
+MOST_BARE = 6  # the most unknowns without stiffness in a contact problem of bodies; a quadratic program has more
+NO_LENGTH = 1e-6  # without imposed lengths, lengths below this part of the load count as zero
 # Sweeps over rows and columns, whose convergence depends on the coupling of the bodies.
 BALANCING_SWEEPS = 10
 # Rows whose largest entries differ from one, or from each other, by more than this factor (2^30 = 1e9) do not determine
 # the scale of an unknown without stiffness, nor do the largest entries of such unknowns.
 ALIKE = 30
-# The weight of the exponents of unknowns relative to those of entries in the balance.
-HARDLY = 1e-2
-# An entry below this part of the largest of its row is a rounding error of zero.
-ROUNDING_OF_A_ROW = 1e-13
+HARDLY = 1e-2  # the weight of the exponents of unknowns relative to those of entries in the balance
+ROUNDING_OF_A_ROW = 1e-13  # an entry below this part of the largest of its row is a rounding error of zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +182,8 @@ def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
 
     These do not depend on the units of unknowns and rows. The maximum norm alone has many such factors, and those near
     the units of the problem may have rows with entries of 1e-8 beside one. Unknowns without stiffness follow from rows
-    that they share with others. Where most have none, as in a linear program, all factors are one, but for rows far
-    from size one.
+    that they share with others. All unknowns have one factor where entries of rows are more alike then, as beside
+    springs over many decades. Where most have no stiffness all are one, but for rows far from size one.
     """
     rows, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
     if 2 * np.sum(problem.diagonal == 0) > problem.dimension:
@@ -202,8 +196,17 @@ def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
         if not reached.any():
             break
         d = d + reached
-    d = np.where(d > 0, d, 1.0)
+    even = np.full(len(d), np.exp2(np.mean(np.log2(d[d > 0])))) if d.any() else np.ones(len(d))
+    d = min(np.where(d > 0, d, 1.0), even, key=lambda one: _unlike(rows, one))
     return d, 1.0 / np.where((largest := _largest(rows, d)) > 0, largest, 1.0)
+
+
+def _unlike(rows: Any, d: Array) -> float:
+    """Return the squares of log(E d) less its mean in each row."""
+    entries = sp.coo_array(rows)
+    at, logs = entries.row[entries.data > 0], np.log2((entries.data * d[entries.col])[entries.data > 0])
+    mean = np.bincount(at, logs) / np.maximum(np.bincount(at), 1)
+    return float(np.sum((logs - mean[at]) ** 2))
 
 
 def _inverse(sizes: Array) -> Array:

@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg.equilibration import _units_of_bodies
 
 
 def double_integrator(steps: int) -> dict[str, Any]:
@@ -39,3 +40,16 @@ def test_control_in_other_units_is_proven_and_has_the_same_energy(steps: int, un
     assert solution.certificate.proven
     assert solution.energy == pytest.approx(plain.energy, rel=1e-12)
     assert solution.displacement * unit == pytest.approx(plain.displacement, rel=1e-7, abs=1e-9)
+
+
+def test_a_chain_on_springs_over_many_decades_keeps_its_own_units() -> None:
+    """At a unit diagonal of K its rows would have entries of 1e-6 beside one, and rounding of these would conflict."""
+    rng = np.random.default_rng([17, 12])
+    springs, rows = np.exp2(rng.integers(-43, 1, 614).astype(float)), 598
+    E = sp.diags_array([np.ones(rows), -2.0 * np.ones(rows)], offsets=[0, 1], shape=(rows, 614)).tocsr()
+    u, force = rng.integers(-4, 5, 614).astype(float), np.ldexp(rng.integers(1, 9, rows), rng.integers(-43, 1, rows))
+    problem = cq.ContactProblem(sp.diags_array(springs).tocsr(), springs * u + E.T @ force, E, E @ u)
+    given, factors = abs(sp.csr_matrix(problem.normal)), _units_of_bodies(problem)
+    entries = (sp.diags_array(factors[1]) @ given @ sp.diags_array(factors[0])).tocsr()
+    assert np.min(entries.data) == pytest.approx(0.5)
+    assert cq.certify(problem, u, force).proven
