@@ -492,7 +492,7 @@ def _refuse_method(method: Method) -> None:
         )
     if not method.semidefinite:
         raise Unsupported(
-            f"{method.name}: steps of Coulomb friction may be singular, and it takes no such; try active-set"
+            f"{method.name}: it needs a regular stiffness, and steps of Coulomb friction may have none; try active-set"
         )
 
 

@@ -95,7 +95,7 @@ def test_what_is_not_there_says_so() -> None:
     space = cq.ContactProblem(np.eye(3), np.ones(3), -np.eye(1, 3), [0.0], tangent=np.eye(3)[1:], friction=0.3)
     with pytest.raises(cq.Unsupported, match="two tangential"):
         cq.solve(space, algorithm="enumeration")
-    with pytest.raises(cq.Unsupported, match="singular stiffness"):
+    with pytest.raises(cq.Unsupported, match="needs a regular stiffness"):
         cq.solve(twin, "projected-gauss-seidel")
     with pytest.raises(cq.InvalidProblem, match="without it"):
         cq.equilibria(pad(1.0, friction=0.0))
