@@ -271,7 +271,7 @@ class ClosedState:
         imposed = float(abs(np.append(problem.gap[closed], problem.tie_value)).max(initial=0.0)) or longest
         hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))
         own, beyond = np.maximum(own, u[problem.diagonal > 0].max(initial=TINY)), missed > FINE * longest
-        hidden = max(hidden, float((missed / own)[beyond].max(initial=0.0)))
+        hidden = max(hidden, float((missed / own)[beyond & (own > MET * imposed)].max(initial=0.0)))
         parts = _part(unbalanced, largest), _part(unmet, longest), hidden
         return cls(problem, closed, answer, left, largest, longest, *parts)
 
