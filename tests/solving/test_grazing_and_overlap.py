@@ -82,6 +82,10 @@ def test_overlaps_without_stiffness_end_without_penetration(seed):
         solution = cq.solve(problem)
     except cq.NoEquilibrium:
         return
+    except cq.NotCertified:  # a load that rounding takes out of the cone of the rows; machines round otherwise
+        with pytest.raises(cq.NoEquilibrium, match="rational"):
+            cq.exact(problem)
+        return
     assert solution.certificate.passed
     u, lengths = solution.displacement, abs(problem.normal) @ abs(solution.displacement) + abs(problem.gap)
     assert np.all(problem.gap - problem.normal @ u >= -1e-12 * lengths)
