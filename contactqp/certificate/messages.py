@@ -321,7 +321,7 @@ def of_rigid_motions(bounds: Bounds) -> str:
 
 
 def of_rounded_stiffness(problem: ContactProblem, answer: Answer, bounds: Bounds) -> Iterator[str]:
-    """Yield a note where the last digits of the entries of K decide a part of the strain energy that would be refused.
+    """Yield a note where the last digits of the entries of K may decide more than 1e-6 of the strain energy.
 
     Changes of all entries by their last digits change u'Ku by at most eps |u|'|K||u|. Rigid motions have other notes.
     """

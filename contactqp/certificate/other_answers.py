@@ -5,9 +5,9 @@ Each combination of open, stick and slip is a linear system in the contact force
 contacts, normal and with friction tangential. Signs and displacements are measured contact by contact relative to
 rounding, so that a distant contact, or one with a large slip, hides no answer at another. If a system leaves
 displacements of contacts undetermined, a linear program decides whether signs can hold; if so, there is a family of
-answers. If there may be several answers, and bodies are small, the systems in question are solved again in rational
-numbers, since at a limit of friction families depend on the last digit of a load. `contactqp.equilibria` refines each
-of them; here they are counted.
+answers. If there may be several answers, and bodies are small and the systems in question few, these are solved again
+in rational numbers, since at a limit of friction families depend on the last digit of a load. `contactqp.equilibria`
+refines each of them; here they are counted.
 """
 
 from __future__ import annotations

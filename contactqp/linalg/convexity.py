@@ -217,7 +217,7 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
 
     Parameters
     ----------
-    problem : without friction
+    problem : ContactProblem; friction makes no difference
     near : (m,) mask, optional, of the contacts looked at, by default all
     """
     closed = np.arange(problem.contacts) if near is None else np.flatnonzero(near)

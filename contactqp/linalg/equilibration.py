@@ -182,7 +182,7 @@ def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
 
     These do not depend on the units of unknowns and rows. The maximum norm alone has many such factors, and those near
     the units of the problem may have rows with entries of 1e-8 beside one. Unknowns without stiffness follow from rows
-    that they share with others. All unknowns have one factor where entries of rows are more alike then, as beside
+    that they share with others. All unknowns have one factor if this makes entries of rows more alike, as beside
     springs over many decades. Where most have no stiffness all are one, but for rows far from size one.
     """
     rows, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)

@@ -221,7 +221,7 @@ class ClosedState:
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
     unmet : float
         The larger of them relative to acting forces, those of load and stiffness, and to imposed lengths and those of
-        the row itself, so that self-equilibrated forces and diverging unknowns hide nothing.
+        the row itself (if no rounding), so that self-equilibrated forces and diverging unknowns hide nothing.
     in_conflict : bool, whether the search for a vertex without conflicting contacts has failed
     """
 

@@ -1,4 +1,4 @@
-"""Elimination in rational numbers, held against its definition and against python's own fractions."""
+"""Elimination in rational numbers, held against its definition."""
 
 from __future__ import annotations
 
