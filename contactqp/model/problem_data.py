@@ -306,7 +306,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     K = _sparse("stiffness", value)
     n = K.shape[0]
     if K.shape != (n, n) or n == 0:
-        raise InvalidProblem(f"stiffness: expected a square matrix, got shape {K.shape}")
+        raise InvalidProblem(f"stiffness: expected a square matrix of one row at least, got shape {K.shape}")
     diagonal = K.diagonal()
     if np.any(diagonal < 0):
         j = int(np.argmin(diagonal))

@@ -271,6 +271,9 @@ def test_unknowns_with_quadratic_terms_alone_need_no_column(tmp_path: Path) -> N
     alone = QPS.replace("UP bnd1", "UP").replace(QUADRATIC, " FR bnd1      c7\nQUADOBJ\n    c7        c7        1.0\n")
     path.write_text(alone.replace("    rhs1 ", "    "))
     refuse_malformed(path)
+    path.write_text(alone.replace("    c7        c7        1.0\n", ""))
+    with pytest.raises(cq.InvalidProblem, match="c7"):
+        refuse_malformed(path)
 
 
 @pytest.mark.slow
