@@ -68,6 +68,7 @@ def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any
     ledger, found = Ledger(str(path)), {}
     for name, values in given.items():
         if name not in OF_PROGRAMS:
+            refuse_unread(path, name, values, problem, of_program=True)
             ledger.ignored.append(f"{name:.60}")
         elif values is not None:
             found[name] = vector(path, name, real_array(path, name, values))
@@ -82,6 +83,63 @@ def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any
         ledger.ignored.append(f"z_box: what stands where there is no such bound, at most {force}")
     ledger.converted.append("x, y, z and z_box, in qpsolvers' signs, to displacement and forces")
     return AnswerFile(parts, ledger)
+
+
+# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, tau_1, dual, ...; reactions of
+# supports, and coefficients, are none.
+LIKE_FORCES = re.compile(
+    r"(?!react|.*coefficient$)(?:.*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|f_?[nct]"
+    r"|(?:tau|[lrt]_?[nt])_?[\dxyz]?$|t_?\d$|duals?$)"
+)
+
+
+LIKE_DISPLACEMENTS = re.compile(r"disp(?:l(?:acements?)?)?s?$")
+
+
+def unread_part(name: str) -> str | None:
+    """Return what a name that no part of an answer has is called like: "forces", "displacements" or nothing."""
+    plain = name.strip().lower()
+    if part_called(name) is not None:
+        return None
+    if LIKE_DISPLACEMENTS.match(plain):
+        return "displacements"
+    return "forces" if LIKE_FORCES.match(plain) else None
+
+
+def refuse_unread(path: Path, name: str, values: Any, problem: ContactProblem, of_program: bool = False) -> None:
+    """Refuse numbers that are called like contact forces or displacements where no part of an answer is read from
+    them, so that wrong ones cannot pass unread.
+
+    Raises InvalidProblem: there are such numbers.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    name : str
+        A name in the file.
+    values : list, dict or array
+        What stands under it. Numbers are refused where they are as many as unknowns, contacts or components of contact
+        forces. Those that equal the problem's coefficients of friction are coefficients.
+    problem : ContactProblem
+        Whose sizes they are held against.
+    of_program : bool
+        Whether the file is the answer to a quadratic program, where any number of values is refused.
+    """
+    like = unread_part(name)
+    if like is None or not isinstance(values, (list, dict, np.ndarray)):
+        return
+    try:
+        numbers = real_array(path, name, list(values.values()) if isinstance(values, dict) else values)
+    except InvalidProblem:
+        return
+    m = problem.contacts
+    sizes = (problem.dimension,) if like == "displacements" else (m, 2 * m, 3 * m)
+    coefficients = problem.friction is not None and np.array_equal(numbers.ravel(), problem.friction)
+    if numbers.size and not coefficients and (of_program or numbers.size in sizes):
+        names = "displacement" if like == "displacements" else "normal_force, friction_force or tie_force"
+        read = "x, y, z or z_box" if of_program else names
+        raise wrong(path, f"{name:.60}", f"{like} called {read}", "a name under which none are read")
 
 
 UNIT = re.compile(r"(.*?)(?:[\s_]*[\[({/<].*|[\s_]+(?:[kmcu\u00b5]?m|[km]n|[kmg]?pa|in|ft|lbf|psi))", re.DOTALL)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.exchange import matrix_files, numpy_files, text_matrices
 from contactqp.exchange.answer_reader import (
     AnswerFile,
@@ -34,6 +34,8 @@ from contactqp.exchange.answer_reader import (
     places,
     real_array,
     refuse_unit,
+    refuse_unread,
+    unread_part,
     vector,
 )
 from contactqp.exchange.files import HEAD, Ledger, Path, is_number, one_line, read_bytes, read_text, wrong
@@ -80,6 +82,8 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
             if COMPONENTS not in data:
                 raise wrong(path, key, "one or two components a contact, along the rows of E_T", "vectors along axes")
             part = None
+        elif part is None and not printed:
+            refuse_unread(path, key, values, problem)
         if part is None or values is None:
             ledger.ignored.extend([] if printed else [f"{key:.60}"])
             continue
@@ -149,11 +153,6 @@ JSON_READER = AnswerReader(JSON, (".json",), read_json_answer, recognises=is_jso
 TABLE = "CSV with named columns"
 KEYS = ("dof", "unknown", "node", "contact", "tie")
 Held = dict[str, Array]
-# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, contact_force, ...; reactions of
-# supports, and coefficients, are none.
-LIKE_FORCES = re.compile(
-    r"(?!react|.*coefficient$).*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|^f_?[nct]"
-)
 FRICTION = re.compile(r"friction(?:_force)?(?:_(?!coefficient)(\d|[a-z]\w*))?")
 
 
@@ -193,7 +192,7 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
         axis = axis_called(column)
         if axis is None:
             refuse_unit(table.path, column, axis_called)
-            _refuse_forces(table, column)
+            _refuse_unread(table, column)
             ledger.ignored.append(f"column {column:.60}")
             continue
         names += [f"{node}.{axis}" for node in nodes]
@@ -205,16 +204,19 @@ def _by_node(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
     return {part: np.array(values)[order]}
 
 
-def _refuse_forces(table: Table, column: str) -> None:
-    """Refuse a column of forces that would otherwise be ignored, so that wrong forces cannot pass unread.
+def _refuse_unread(table: Table, column: str) -> None:
+    """Refuse a column of forces or displacements that would be ignored, so that wrong ones cannot pass unread.
 
-    Raises InvalidProblem: the column's name is one that programs give to forces.
+    Raises InvalidProblem: the column's name is one that programs give to forces, or to displacements by unknown.
     """
-    if part_called(column) is None and LIKE_FORCES.match(column.strip().lower()) is None:
+    like, key = unread_part(column), table.columns[0]
+    if like == "displacements" and key in ("dof", "unknown"):
+        raise wrong(table.path, f"column {column:.60}", "displacement", "a name under which none are read")
+    if part_called(column) is None and like != "forces":
         return
-    of_contacts = table.columns[0] == "contact"
+    of_contacts = key == "contact"
     expected = "normal_force or friction_force" if of_contacts else "forces in a table whose first column is contact"
-    raise wrong(table.path, f"column {column:.60}", expected, f"it in a table by {table.columns[0]}")
+    raise wrong(table.path, f"column {column:.60}", expected, f"it in a table by {key}")
 
 
 def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
@@ -230,7 +232,7 @@ def _by_name(table: Table, problem: ContactProblem, ledger: Ledger) -> Held:
             columns[part] = [column, *columns.get(part, [])]
         else:
             refuse_unit(table.path, column, lambda name: part_called(name) in belongs or _is_friction(table, name))
-            _refuse_forces(table, column)
+            _refuse_unread(table, column)
             ledger.ignored.append(f"column {column:.60}")
     if friction:
         columns["friction_force"] = sorted(friction) if all(name[-1].isdecimal() for name in friction) else friction
@@ -271,6 +273,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         part = part_called(name)
         if part is None:
             refuse_unit(path, name)
+            refuse_unread(path, name, values, problem)
             ledger.ignored.append(f"{name:.60}")
             continue
         if part in parts:
@@ -338,6 +341,7 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     for file in sorted(FilePath(path).iterdir()):
         part = part_called(file.stem)
         if part is None or file.is_dir():
+            _refuse_unread_file(file, problem)
             ledger.ignored.append(file.name)
             continue
         if part in parts:
@@ -354,6 +358,25 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if not parts:
         raise wrong(path, "folder", f"files called {ARRAYS}", "none of them")
     return AnswerFile(parts, ledger, named, tie_names)
+
+
+def _refuse_unread_file(file: FilePath, problem: ContactProblem) -> None:
+    """Refuse a file that holds parts of an answer, or is called like forces and holds them, and would not be read.
+
+    Raises InvalidProblem: there is such a part in it.
+    """
+    if file.is_dir():
+        return
+    try:
+        table = any(is_table(file, key) for key in KEYS)
+        held = read_table_answer(file, problem).parts if table else {}
+        values = matrix_files.read_matrix(file).matrix if unread_part(file.stem) and not table else None
+    except (InvalidProblem, BackendMissing):
+        return
+    if held:
+        raise wrong(file.parent, file.name, f"a file called like what it holds ({', '.join(held)})", "another name")
+    if values is not None:
+        refuse_unread(file.parent, file.stem, _dense(file, values), problem)
 
 
 ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, recognises=lambda head: head.startswith((ZIP, b"PK\x05\x06")))

@@ -1,12 +1,14 @@
-"""A format from outside is read like ours."""
+"""A format from outside is read like ours; forces and displacements that no reader takes are refused, not ignored."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from contactqp.errors import InvalidProblem
 from contactqp.exchange import answer_files, matrix_files
 from contactqp.exchange.answer_reader import AnswerFile, AnswerReader
 from contactqp.exchange.files import Ledger, MatrixFile, MatrixReader
@@ -35,3 +37,84 @@ def test_formats_are_added_and_named_among_what_is_expected(tmp_path: Path, monk
     assert answer_files.read_answer(answer, wall).parts["displacement"] == [1.0]
     with pytest.raises(ValueError, match="a matrix: ones, "):
         matrix_files.read_matrix(tmp_path / "missing")
+
+
+def _wall(friction: bool = False) -> ContactProblem:
+    return ContactProblem(
+        stiffness=np.diag([2.0, 4.0, 1.0]),
+        load=[6.0, 0.0, 0.0],
+        normal=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        gap=[1.0, 1.0],
+        tangent=[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]] if friction else None,
+        friction=[0.3, 0.4] if friction else None,
+    )
+
+
+U, FORCE = [1.0, 0.0, 0.0], [4.0, 0.0]
+
+
+def _write(path: Path, kind: str, name: str, values: list[float]) -> Path:
+    """Write the right displacement and values under another name."""
+    if kind == "json":
+        target = path / "theirs.json"
+        target.write_text(json.dumps({"displacement": U, name: values}))
+    elif kind == "json by name":
+        target = path / "theirs.json"
+        target.write_text(json.dumps({"displacement": U, name: dict(zip("ab", values, strict=True))}))
+    elif kind == "npz":
+        target = path / "theirs.npz"
+        np.savez(target, displacement=U, **{name: values})
+    else:
+        target = path / "theirs"
+        target.mkdir()
+        np.savetxt(target / "displacement.txt", U)
+        np.savetxt(target / f"{name}.txt", values)
+    return target
+
+
+@pytest.mark.parametrize("kind", ["json", "json by name", "npz", "folder"])
+@pytest.mark.parametrize("name", ["lambda", "CNORMF", "normal_forces", "fn", "dual", "r_n", "friction", "tau"])
+def test_forces_under_a_name_that_is_not_read_are_refused(tmp_path: Path, kind: str, name: str) -> None:
+    """Ignored, a wrong force would pass beside the right displacement."""
+    with pytest.raises(InvalidProblem, match=r"expected forces called normal_force, friction_force or tie_force"):
+        answer_files.read_answer(_write(tmp_path, kind, name, [8.0, 0.0]), _wall())
+
+
+@pytest.mark.parametrize("kind", ["json", "npz", "folder"])
+@pytest.mark.parametrize("name", ["reaction", "gap", "status", "friction_coefficient"])
+def test_what_is_no_force_of_contacts_is_ignored_and_said(tmp_path: Path, kind: str, name: str) -> None:
+    found = answer_files.read_answer(_write(tmp_path, kind, name, [8.0, 0.0]), _wall())
+    assert list(found.parts) == ["displacement"]
+    assert any(name in line for line in found.ledger.ignored)
+
+
+def test_the_coefficients_of_the_problem_are_no_forces(tmp_path: Path) -> None:
+    found = answer_files.read_answer(_write(tmp_path, "npz", "friction", [0.3, 0.4]), _wall(friction=True))
+    assert list(found.parts) == ["displacement"]
+    with pytest.raises(InvalidProblem, match="friction: expected forces called"):
+        answer_files.read_answer(_write(tmp_path, "json", "friction", [0.3, 0.5]), _wall(friction=True))
+
+
+def test_displacements_under_a_name_that_is_not_read_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "theirs.json"
+    file.write_text(json.dumps({"normal_force": FORCE, "displacements": [9.0, 9.0, 9.0]}))
+    with pytest.raises(InvalidProblem, match="expected displacements called displacement"):
+        answer_files.read_answer(file, _wall())
+    table = tmp_path / "theirs.csv"
+    table.write_text("contact,normal_force\n0,4\n1,0\ndof,disp\n0,9\n1,9\n2,9\n")
+    with pytest.raises(InvalidProblem, match="column disp: expected displacement"):
+        answer_files.read_answer(table, _wall())
+
+
+def test_the_multipliers_of_a_program_under_another_name_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "theirs.json"
+    file.write_text(json.dumps({"x": U, "dual": [8.0]}))
+    with pytest.raises(InvalidProblem, match="expected forces called x, y, z or z_box"):
+        answer_files.read_answer(file, _wall())
+
+
+def test_a_file_of_a_folder_whose_name_says_another_part_is_refused(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "displacement.txt", U)
+    (tmp_path / "contacts.csv").write_text("contact,normal_force\n0,8\n1,0\n")
+    with pytest.raises(InvalidProblem, match=r"contacts.csv: expected a file called like what it holds"):
+        answer_files.read_answer(tmp_path, _wall())
