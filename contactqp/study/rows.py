@@ -14,6 +14,7 @@ from typing import Any
 from contactqp.model.summary import WIDTH as COLUMNS_OF_TEXT
 from contactqp.model.summary import csv_text, wrapped
 from contactqp.study.settings import DEFAULT_TOLERANCE
+from contactqp.study.truth import ABSOLUTE_ENERGY, CONTRADICTED
 
 RIGHT = "right"
 REFUSED = "refused"
@@ -200,15 +201,27 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
     cells = [("method", "error in u", "error in λ", "time [ms]", "verdict")]
     for row in ran:
         shown = readable(row)
-        cells.append(
-            (_with_knob(row), shown["error_displacement"], shown["error_force"], _milliseconds(row), row.verdict)
-        )
+        error = shown["error_displacement_max" if _largest_unknown_decides(row) else "error_displacement"]
+        cells.append((_with_knob(row), error, shown["error_force"], _milliseconds(row), row.verdict))
     sentences = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
     missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
     sentences += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
     table = aligned(cells) if ran else ""
+    against = _in_lines(f"errors against: {truth}")
     parts = [*_in_lines(_in_short(rows)), table, *wrapped(*sentences)]
-    return "\n".join([*filter(None, parts), *_in_lines(f"errors against: {truth}")])
+    # A truth that may be wrong is said before any verdict that rests on it.
+    parts = [*against, *parts] if CONTRADICTED in truth else [*parts, *against]
+    return "\n".join(filter(None, parts))
+
+
+def _largest_unknown_decides(row: Row) -> bool:
+    """Return whether the energy norm misses the error in u: it vanishes, or is singular, and the largest unknown errs
+    more than what the energy and the forces say.
+    """
+    if ABSOLUTE_ENERGY in row.error_measure:
+        return True
+    shown = max(row.error_displacement or 0.0, row.error_force or 0.0)
+    return row.error_judged is not None and row.error_judged > shown and row.error_judged == row.error_displacement_max
 
 
 # Letters of a message in a comparison.

@@ -24,6 +24,8 @@ ERROR_TOLERANCE = 1e-6
 # Values of `Errors.measure` where errors are not relative.
 ABSOLUTE_ENERGY = "u absolute in the energy norm (the true energy vanishes)"
 ABSOLUTE_FORCE = "λ absolute (the truth is zero)"
+# What the source of a truth says if the proven solution differs from it.
+CONTRADICTED = "which the proven solution contradicts: one of them is wrong"
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,12 @@ class Truth:
             max([*decisive, force.judged if force else 0.0], default=0.0),
             self._allowance(),
         )
+
+    def compared_with(self, proven: Solution) -> Truth:
+        """Return this truth; its source says so if a proven solution contradicts it beyond the error tolerance."""
+        if self.errors(proven.displacement, proven.normal_force, proven.tie_force).small:
+            return self
+        return replace(self, source=f"{self.source}, {CONTRADICTED}", contradicted=True)
 
     @property
     def _singular(self) -> bool:
@@ -167,6 +175,8 @@ Reference = Solution | tuple[ArrayLike, ...]
 def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Truth | None:
     """Return the reference as a truth, or the proven active-set solution, or None where nothing is proven.
 
+    If the proven solution contradicts the reference beyond the error tolerance, the text on the source states it.
+
     Raises InvalidProblem: the reference has wrong shapes, or values that are not finite.
     """
     own = proven_solution(problem)
@@ -175,7 +185,7 @@ def truth_of(problem: ContactProblem, reference: Reference | None = None) -> Tru
     truth = truth_of_reference(problem, reference)
     if own is None:
         return truth
-    return replace(truth, unique_forces=_unique(own), free=bool(own.free_motions))
+    return replace(truth, unique_forces=_unique(own), free=bool(own.free_motions)).compared_with(own)
 
 
 def proven_solution(problem: ContactProblem) -> Solution | None:

@@ -272,3 +272,34 @@ def test_a_solution_as_reference() -> None:
     table = cq.compare(two_bars(), methods=["active-set"], reference=reference)
     assert table.truth == "reference by lagrange-multiplier"
     assert table.rows[0].verdict == rows.RIGHT
+
+
+def test_a_reference_that_the_proven_solution_contradicts_is_said_first() -> None:
+    other = cq.solve(two_bars().replace(load=two_bars().load * 0.9))
+    table = cq.compare(two_bars(), methods=["active-set"], reference=other)
+    assert table.truth == "reference by active-set, which the proven solution contradicts: one of them is wrong"
+    assert str(table).startswith("errors against: reference by active-set, which the proven solution contradicts")
+    assert str(cq.compare(two_bars(), methods=["active-set"], reference=EXACT)).endswith("errors against: reference")
+
+
+def test_the_error_in_u_of_a_linear_program_is_that_of_the_largest_unknown() -> None:
+    """K vanishes, and with it any energy norm. The exact vertex is (8/5, 6/5); a penalty moves both rows by l / 8."""
+    program = cq.ContactProblem.from_qp(
+        np.zeros((2, 2)), [-1.0, -1.0], G=[[1.0, 2.0], [3.0, 1.0]], h=[4.0, 6.0], lb=[0.0, 0.0]
+    )
+    table = cq.compare(program, methods=["penalty"], knobs={"penalty": [8.0]})
+    # l = (2/5, 1/5): G x = (4.05, 6.025) at x = (1.6, 1.225), of which 0.025 / 1.6 is 1/64
+    assert table[0].error_displacement_max == pytest.approx(1 / 64, rel=1e-9)
+    assert str(table).splitlines()[2].split()[:3] == ["penalty", "8", "1.6e-02"]
+
+
+def test_the_error_in_u_is_that_of_the_largest_unknown_where_the_energy_norm_is_blind_to_it() -> None:
+    program = cq.ContactProblem.from_qp(
+        np.diag([2.0, 0.0]), [-1.0, -1.0], G=[[1.0, 2.0], [3.0, 1.0]], h=[4.0, 6.0], lb=[0.0, 0.0]
+    )
+    table = cq.compare(program, methods=["penalty"], knobs={"penalty": [20.0]})
+    (row,) = table
+    assert row.error_displacement == pytest.approx(0.0, abs=1e-9)
+    # x = (1/2 - l / 2, ...): l = (1/2, 0), x = (1/4, 15/8), moved along the second axis by l / 20 / 2 = 1/80
+    assert row.error_displacement_max == pytest.approx((1 / 80) / (15 / 8), rel=1e-9)
+    assert f"{row.error_displacement_max:.1e}" in str(table)
