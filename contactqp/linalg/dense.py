@@ -198,13 +198,12 @@ def unknown_scale(problem: ContactProblem) -> Array:
     bare = problem.diagonal == 0
     if bare.any():
         largest = _largest_entries(sp.vstack([problem.normal, problem.tie]))
+        along = np.zeros_like(largest) if problem.tangent is None else _largest_entries(problem.tangent)
         stiff = (largest * D)[~bare & (largest > 0)]
-        if not stiff.size and problem.tangent is not None:
-            along = _largest_entries(problem.tangent)
+        if not stiff.size:
             stiff = (along * D)[~bare & (along > 0)]
         size = np.median(stiff) if stiff.size else _apart(D, bare, largest)
-        if problem.tangent is not None:  # unknowns of tangents only have the unit of these
-            largest = np.where(largest > 0, largest, _largest_entries(problem.tangent))
+        largest = np.maximum(largest, along)  # the lever of friction may be all that a rotation has
         D[bare] = size / np.where(largest[bare] > 0, largest[bare], 1.0)
     return D
 

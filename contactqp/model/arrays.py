@@ -1,4 +1,4 @@
-"""Define types of arrays, and how functions compute: floating-point errors, threads of BLAS, clocks and time limits.
+"""Define types of arrays, and how functions compute: rounding, threads of BLAS, clocks and time limits.
 
 OpenBLAS is limited to one thread for small dense systems: two threads do not accelerate a Cholesky factorisation of a
 few hundred rows, and slow it down a hundredfold where another process uses the second core, as they wait for each other
@@ -21,6 +21,7 @@ from inspect import Parameter, Signature, isfunction, signature
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged, WrongCall, no_argument, out_of_memory
@@ -453,3 +454,39 @@ def refuse_late(what: str) -> None:
     end = _END.get()
     if end is not None and time.perf_counter() > end[0]:
         raise NotConverged(f"{STOPPED} of {stated_limit(None)}, before {what}")
+
+
+# A lever of this part of the contact's other lever is the rounding of the direction of its normal.
+ROUNDED_LEVER = 8 * EPS
+
+
+def without_rounded_levers(stiffness: Any, normal: Any, tangent: Any) -> tuple[Any, Any]:
+    """Return normal and tangential rows (CSR) without entries that are rounding, on unknowns without stiffness.
+
+    The entries of a contact's rows at one unknown are components of one vector, the motion of the contact point. Its
+    direction is rounded: the normal force of a disc, n, has the lever n x R n = 1e-18 R about the middle, where the
+    friction force has R. Nothing but rows resists a rotation without stiffness, and a disc that turns by 1e17 would
+    let its contact open.
+
+    Parameters
+    ----------
+    stiffness : (n, n) array or sparse matrix
+    normal, tangent : (m, n) and ((d-1) m, n) CSR arrays
+    """
+    width, stiff, size = tangent.shape[0] // max(normal.shape[0], 1), stiffness.diagonal() > 0, abs(normal)
+    for k in range(width):
+        size = size.maximum(abs(tangent[k::width]))
+    size = sp.csr_array(size @ sp.diags_array(np.where(stiff, 0.0, ROUNDED_LEVER)))
+    contacts = np.arange(normal.shape[0]).repeat(width)
+    return _entries_beyond(size, normal), _entries_beyond(size[contacts], tangent)
+
+
+def _entries_beyond(size: Any, rows: Any) -> Any:
+    """Return rows (CSR) without the entries that are smaller than those of `size`."""
+    small = abs(rows) < size
+    if not small.multiply(abs(rows) > 0).nnz:
+        return rows
+    kept = sp.csr_array(rows - rows.multiply(small))
+    kept.sort_indices()
+    kept.eliminate_zeros()
+    return kept

@@ -43,6 +43,7 @@ from contactqp.model.problem_data import (
     read_stiffness,
     read_vector,
     rows_of_dense,
+    without_rounded_levers,
 )
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.quadratic_program import QuadraticProgram, given_program, of_program, quadratic_program
@@ -138,13 +139,13 @@ class ContactProblem:
         tie_names: Sequence[str] | None = None,
     ) -> None:
         K, asymmetry, rigid_change = read_stiffness(stiffness, near_null_space)
-        n = K.shape[0]
-        E_N = read_rows("normal", normal, n)
-        m = E_N.shape[0]
+        m = (E_N := read_rows("normal", normal, n := K.shape[0])).shape[0]
         A = no_rows(n) if tie is None else read_rows("tie", tie, n)
         if tie is None and tie_value is not None and read_array("tie_value", tie_value).size:
             raise InvalidProblem("tie_value was given without tie")
         E_T, friction_, origin = read_friction(tangent, friction, slip_origin, m, n)
+        loose = E_T is not None and not K.diagonal().all()
+        E_N, E_T = without_rounded_levers(K, E_N, E_T) if loose else (E_N, E_T)
         values = dict(
             stiffness=K,
             asymmetry=asymmetry,
@@ -381,8 +382,7 @@ class ContactProblem:
             for name in MEASURED if "stiffness" not in changes else ():
                 object.__setattr__(made, name, max(getattr(self, name), getattr(made, name)))
             return made
-        n, m, k = self.dimension, self.contacts, self.ties
-        checked = self._values()
+        n, m, k, checked = self.dimension, self.contacts, self.ties, self._values()
         for name, size in (("load", n), ("tie_value", k)):
             if name in changes:
                 checked[name] = read_vector(name, changes[name], size)
