@@ -86,7 +86,7 @@ def balanced(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     """
 
     def times(_: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
-        return twin.replace(stiffness=twin.stiffness * factor)
+        return ContactProblem._of_checked(twin._values() | dict(stiffness=twin.stiffness * factor), Computed())
 
     twin, scaling = _equilibrated(problem, *_units_of_programs(problem))
     return _loaded(problem, twin, scaling, times)
