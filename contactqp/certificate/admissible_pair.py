@@ -27,9 +27,9 @@ from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import FINE_EPS, Extended, SparseRows, extend, extended_rows, residuals
 from contactqp.linalg.floating import UNRESISTED, independent_rows, that_move
-from contactqp.linalg.least_norm import WITHIN_ROUNDING, least_closing
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import forces_that_meet, intrinsic_size, lengths_that_meet, of_rows, outer_forces
-from contactqp.linalg.nonnegative import Infeasible, dual_active_set, nonnegative_least_squares
+from contactqp.linalg.nonnegative import Infeasible, dual_active_set, least_closing, nonnegative_least_squares
 from contactqp.linalg.refinement import OnSet
 from contactqp.linalg.sparse_saddle import MET_TOGETHER
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector

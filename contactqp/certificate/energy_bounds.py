@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from contactqp.certificate.balance import imposed_work, work_that_meets
 from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
+from contactqp.linalg import convexity
 from contactqp.linalg.convexity import DECIDED, DEFINITE, REGULAR, are_independent, diagonal_dominance, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
@@ -52,7 +53,7 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
-from contactqp.linalg.least_norm import by_corrections, inverse_of_gram, without_needless_forces
+from contactqp.linalg.least_norm import by_corrections, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
@@ -69,10 +70,9 @@ from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, wi
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
-# Motions and forces are free if the response to a unit is at least this part of 1/d.
-ALMOST_FREE = 1e-3
-# A smaller regularisation, which separates soft motions and nearly dependent rows from free and redundant ones.
-NEARER = 1e-11
+# Motions and forces are free if the response to a unit is at least this part of 1/d, also with the smaller d that
+# separates soft motions and nearly dependent rows from free and redundant ones.
+ALMOST_FREE, NEARER = 1e-3, 1e-11
 # If a residual of equilibrium costs more than this part of the energy, nearby constraints are used to bound it.
 NOTABLE = 1e-11
 # Energies whose bounds are wider than this part are not enclosed well enough for the certificate, which asks for 1e-9.
@@ -297,7 +297,7 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: floa
     count, n = rows.shape
     weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1))) * distance])
     forces = np.random.default_rng(0).standard_normal((n, PROBES))
-    solve = inverse_of_gram(rows)
+    solve = convexity.inverse_of_gram(rows)
     if solve is None:
         return np.full((count, 2), np.inf)
     answered = [solve(rows @ (weight[:, None] * forces)) for weight in weights.T]
@@ -393,9 +393,9 @@ def _taken_by_constraints(state: ClosedState, dominance: Vector) -> float:
     )
     if motion is None:
         return np.inf
-    force, tie = np.zeros(problem.contacts), np.zeros(problem.ties)
+    force = np.zeros(problem.contacts)
     force[near] = np.maximum(-size * motion.ineqlin.marginals, 0.0) if len(near) else 0.0
-    tie = -size * motion.eqlin.marginals if problem.ties else tie
+    tie = -size * motion.eqlin.marginals if problem.ties else np.zeros(0)
     others = left.force - extended_rows(problem).contact_force(extend(force), extend(tie))
     taken = float(force[near] @ abs(gap[near]) + abs(tie) @ abs(left.tie.double()))
     return taken + _cost(state, others.double(), dominance)
@@ -437,15 +437,14 @@ def unique_on(state: ClosedState) -> Unique:
     differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d or the
     motions of the rows themselves tell.
     """
-    unique = _answered(kept_saddle(state.problem, state.closed, REGULARISATIONS[0], Effort()), state)
+    problem, closed = state.problem, state.closed
+    unique = _answered(kept_saddle(problem, closed, REGULARISATIONS[0], Effort()), state)
     if not unique.forces:
-        unique = replace(
-            unique, forces=are_independent(sp.vstack([state.problem.normal[state.closed], state.problem.tie]))
-        )
+        unique = replace(unique, forces=are_independent(sp.vstack([problem.normal[closed], problem.tie])))
     if unique.displacement and unique.forces:
         return unique
     try:
-        nearer = _answered(SparseSaddle(state.problem, np.flatnonzero(state.closed), NEARER), state, 1)
+        nearer = _answered(SparseSaddle(problem, np.flatnonzero(closed), NEARER), state, 2)
     except BackendFailed:
         return unique
     return Unique(unique.displacement or nearer.displacement, unique.forces or nearer.forces)
@@ -454,7 +453,8 @@ def unique_on(state: ClosedState) -> Unique:
 def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = None) -> Unique:
     """Return whether random forces and gaps respond less than free motions and dependent rows, or sweeps meet them.
 
-    Refinement takes away neither forces along free motions nor contradictions of dependent rows.
+    Refinement takes away neither forces along free motions nor contradictions of dependent rows. A small response
+    that does not meet the forces tells nothing: factors with a small d round as much as free motions respond.
     """
     random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
     sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
@@ -463,7 +463,8 @@ def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = Non
     pushed = ((np.concatenate(found), left) for _, *found, left in saddle.refined(force * 0.0, gap, tie))
 
     def met(responses: Iterator[tuple[Vector, float]]) -> bool:
-        return any(np.all(abs(x) < most) or left < ALMOST_FREE for x, left in islice(responses, sweeps))
+        steps = pairwise(chain([(np.full(1, np.inf), np.inf)], islice(responses, sweeps)))
+        return any(left < ALMOST_FREE or np.all(abs(x) < most) for (x, _), (_, left) in steps)
 
     return Unique(met(moved), met(pushed))
 

@@ -1,9 +1,11 @@
 """Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
-precision, and whether rows of constraints are independent, or contradict each other by rounding.
+precision, and whether rows of constraints are independent, or contradict each other by rounding;
+equations of many such rows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -15,11 +17,11 @@ from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
 from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.exact_algebra import contradiction
-from contactqp.linalg.extended import extend, extended_rows
-from contactqp.linalg.factorization import SuperLU, connected_parts, with_added_diagonal
+from contactqp.linalg.extended import SparseRows, extend, extended_rows
+from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
-from contactqp.linalg.schur import LARGE, with_pivots
-from contactqp.model.arrays import Mask, Vector
+from contactqp.linalg.schur import LARGE, factorised, with_pivots
+from contactqp.model.arrays import Array, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 
@@ -207,6 +209,70 @@ def are_independent(rows: Any) -> bool:
         return False
     motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
     return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
+
+
+# The regularisation of the minimum-norm equations with unit rows, removed by refinement.
+REGULARISATION, REFINEMENTS = 1e-12, 6
+
+
+def least_solution(rows: Any, right: Vector) -> Vector:
+    """Return the x (q,) of least norm with R x = b for a sparse R (p, q), whose rows may depend on each other.
+
+    It solves x + R' y = 0, R x - d y = b with a small d, refined to rounding. With dependent rows its norm exceeds the
+    least one by at most about 1e-4.
+
+    Raises BackendFailed: the factorisation ran out of memory, or met a pivot of zero.
+    """
+    lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
+    (p, q), unit = rows.shape, sp.csr_matrix(sp.diags(1.0 / lengths) @ rows)
+    matrix = sp.bmat([[sp.identity(q), unit.T], [unit, -REGULARISATION * sp.identity(p)]], format="csc")
+    solve = factorised(matrix, pardiso.INDEFINITE, pardiso.EliminationOrder(q), np.arange(q))
+    found, last = np.zeros(q), np.inf
+    for _ in range(REFINEMENTS):
+        left = right / lengths - unit @ found
+        if not 0 < (size := float(np.max(abs(left), initial=0.0))) < last:
+            break
+        found, last = found + solve(np.concatenate([np.zeros(q), left]))[:q], size
+    return np.asarray(found)
+
+
+# The number of rows up to which weights are computed by dense algebra, and corrections for more rows.
+MOST_DENSE, CANCELLATIONS = 500, 2
+
+
+def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
+    """Return the weights (q,) with the least sum of unit rows; for many rows those near given weights."""
+    rows = sp.csr_matrix(rows @ sp.diags(scale))
+    if rows.shape[0] <= MOST_DENSE:
+        length = np.linalg.norm(rows.toarray(), axis=1)
+        _, rotation = right_singular((rows.toarray() / length[:, None]).T)
+        return np.asarray(rotation[-1] / length)
+    across = SparseRows(rows.T.tocsr())
+    for _ in range(CANCELLATIONS):
+        part, left = sp.csr_matrix((sp.diags(abs(weights)) @ rows).T), (across @ extend(weights)).double()
+        weights = weights * (1.0 - np.sign(weights) * least_solution(part, left))
+    return weights
+
+
+# The most entries of E E', and its least pivot with unit diagonal.
+MOST_ENTRIES, WELL_APART = 1e7, 1e-6
+
+
+def inverse_of_gram(rows: Any) -> Callable[[Array], Array] | None:
+    """Return a function that solves E E' X = B (a, q) for sparse rows E (a, n), None if they are nearly dependent.
+
+    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
+    """
+    n = rows.shape[1]
+    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
+        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
+        if gram.smallest_pivot > WELL_APART:
+            return gram.solve
+    try:
+        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
+    except BackendFailed:
+        return None
+    return lambda right: np.column_stack([-both(np.concatenate([np.zeros(n), one]))[n:] for one in right.T])
 
 
 def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> str | None:

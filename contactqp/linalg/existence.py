@@ -22,13 +22,14 @@ import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium
 from contactqp.linalg.condensation import Condensation, condense
+from contactqp.linalg.convexity import nearly_cancelling
 from contactqp.linalg.dense import BALANCED, IDLE, RigidMotions, unknown_scale
 from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.exact_algebra import cancel, cancelling
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.iteration import contacts_are_many
-from contactqp.linalg.least_norm import WITHIN_ROUNDING, nearly_cancelling
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.linalg.nonnegative import given_rows
 from contactqp.model.arrays import Array, Vector
@@ -39,10 +40,9 @@ from contactqp.model.problem_data import ReadOnly
 
 # The feasibility tolerances of linear programs with unknowns and rows of unit size.
 LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-# Coordinates and gains above this part of the largest are not artefacts of that tolerance.
-DRIVEN = 1e-7
-# The excess after a linear program, relative to that before, below which it counts as removed.
-REMAINING = 1e-7
+# Coordinates and gains above this part of the largest are not artefacts of that tolerance, and the excess after a
+# linear program, relative to that before, below which it counts as removed.
+DRIVEN, REMAINING = 1e-7, 1e-7
 # The number of programs, each starting from the last, that reach the rounding of doubles.
 PROGRAMS = 4
 # The number of polygons in place of the circle of slips, each near the slips that the last one allowed.

@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotConverged
 from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, RigidMotions, orthonormal
@@ -39,8 +40,6 @@ from contactqp.model.solution import Answer
 # A unit motion is not resisted by unit rows whose products with it are below this.
 UNRESISTED = 1e-9
 Lengths = Callable[[Vector], Vector]
-
-
 # The work of a load on a motion is rounding below this part of the sum of its terms.
 WORKLESS = 1e-10
 # Multipliers of the linear program below this part of the largest count as zero.
@@ -353,19 +352,23 @@ def _orthonormal_by_body(motions: Array) -> Array:
     return np.asarray(coordinates)
 
 
-def unresisted(motions: Array, bodies: Indices, rows: Array) -> Array:
+def _largest_entries(rows: Any) -> Vector:
+    return np.asarray(rows.max(axis=1).toarray() if sp.issparse(rows) else np.max(rows, axis=1)).ravel()
+
+
+def unresisted(motions: Array, bodies: Indices, rows: Any) -> Array:
     """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist.
 
-    The sizes of motions of different bodies depend on units and stiffness. So rows and bodies are scaled by factors
-    that bring the largest entry of a row on each body times the size of the motion near one, and products are compared
-    with that.
+    Rows may be sparse. The sizes of motions of different bodies depend on units and stiffness. So rows and bodies are
+    scaled by factors that bring the largest entry of a row on each body times the size of the motion near one, and
+    products are compared with that.
     """
     coordinates = _orthonormal_by_body(motions)
-    if not len(rows) or not len(coordinates):
+    if not rows.shape[0] or not len(coordinates):
         return coordinates
     motions = motions @ coordinates
     of_motion = bodies[np.argmax(abs(motions), axis=0)]
-    felt = np.column_stack([np.max(abs(rows[:, bodies == b]), axis=1) for b in of_motion])
+    felt = np.column_stack([_largest_entries(abs(rows[:, bodies == b])) for b in of_motion])
     of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
     values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
     return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)

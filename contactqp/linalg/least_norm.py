@@ -1,27 +1,23 @@
-"""Minimum-norm displacements along free motions and of sparse equations, redundant forces of least sum, and active sets
-that change by single contacts.
+"""Minimum-norm displacements along free motions, redundant forces of least sum, and active sets that change by single
+contacts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.dense import orthonormal, saddle_point
+from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.equilibration import entries_of, rows_alone, worst_of_neighbours
-from contactqp.linalg.extended import ExtendedAnswer, SparseRows, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular
-from contactqp.linalg.floating import UNRESISTED
-from contactqp.linalg.measures import lengths_that_meet
+from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
+from contactqp.linalg.factorization import connected_parts, null_space, right_singular
+from contactqp.linalg.floating import UNRESISTED, unresisted
+from contactqp.linalg.measures import bodies, lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, LESS, by_strict_programs, highs, shift_within_gaps
-from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder
-from contactqp.linalg.schur import factorised, with_pivots
 from contactqp.linalg.sparse_saddle import (
     REGULARISATIONS,
     SIGNED,
@@ -39,6 +35,9 @@ from contactqp.model.solution import Answer
 # Rounding in double precision, relative to the lengths or forces that meet, or to the terms of a sum.
 WITHIN_ROUNDING = 8 * EPS
 SHIFT_CORRECTIONS = 3  # of a shift that penetrates contacts by rounding; each reduces this by eps
+UNMOVED = 1e-12  # rows that a shift moves by this part of the lengths that meet resist it to rounding
+SHIFTED = 1e-9  # a shift out of contacts goes further by this part
+SAME_DIGITS = 12  # unit rows that agree to so many digits are one
 NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
 # Forces beyond this multiple of the acting ones are self-equilibrated.
 PRESSED = 1e3
@@ -74,12 +73,37 @@ def shift_to_least_norm(
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), condensation.rigid.motions
     free = free_motions(condensation, saddle_point(condensation, closed))
+    return _shift_along(problem, free, condensation.unknown_scale, answer)
+
+
+# The most numbers of which free motions, or their products with rows, may consist.
+MOST_MOVED = 10_000_000
+
+
+def sparse_shift_to_least_norm(problem: ContactProblem, answer: Answer, closed: Indices) -> tuple[Vector, Array]:
+    """Return the shift and the free motions of `shift_to_least_norm` without condensing.
+
+    Parameters are those of `shift_to_least_norm`. There are no motions where these would not fit into little memory, as
+    with thousands of unknowns without stiffness.
+    """
+    none, (n, rows) = np.zeros(problem.dimension), (problem.dimension, len(closed) + problem.ties)
+    if max(n, rows) * np.count_nonzero(problem.diagonal == 0) > MOST_MOVED:
+        return none, none[:, None][:, :0]
+    motions, scale = null_space(problem.stiffness_rows).motions, unknown_scale(problem)
+    if max(n, rows) * motions.shape[1] > MOST_MOVED:
+        return none, none[:, None][:, :0]
+    held = sp.vstack([problem.normal[closed], problem.tie], format="csr") @ sp.diags(scale)
+    free = orthonormal(motions @ unresisted(motions / scale[:, None], bodies(problem), sp.csr_matrix(held)))
+    return _shift_along(problem, free, scale, answer)
+
+
+def _shift_along(problem: ContactProblem, free: Array, scale: Vector, answer: Answer) -> tuple[Vector, Array]:
+    """Return the shift along orthonormal motions (n, q) to the least norm within the gaps, and those not blocked."""
     if not free.shape[1]:
         return np.zeros(problem.dimension), free
     shift = -(free.T @ answer.displacement)
     rows = problem.normal @ free
     # Products of rows with motions are compared in the scale of energy, which is independent of units.
-    scale = condensation.unknown_scale
     basis = scale[:, None] * orthonormal(free / scale[:, None])
     felt = np.sqrt(problem.normal.power(2) @ scale**2)
     stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
@@ -94,16 +118,64 @@ def shift_to_least_norm(
     return shift, orthonormal(basis @ blocked) if blocked is not None else free
 
 
+def at_rest(
+    problem: ContactProblem,
+    condensation: Condensation | None,
+    solved: tuple[ClosedState, Answer],
+    pushing: Indices,
+    unit: Vector,
+) -> tuple[ClosedState, Array]:
+    """Return a state of sparse systems without its part along free motions, and these (n, q), orthonormal.
+
+    It stays, without free motions, where rounding in far units decides what is free, and rows that resist would move.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    condensation : that of the problem; None where it is not to be condensed
+    solved : the state, of the equilibrated problem, and its answer in the units of the problem
+    pushing : (q,) array of int, the contacts that resist
+    unit : (n,) array, the displacements of the problem for one of the equilibrated problem
+    """
+    state, answer = solved
+    if condensation is None:
+        shift, free = sparse_shift_to_least_norm(problem, answer, pushing)
+    else:
+        shift, free = shift_to_least_norm(problem, condensation, answer, pushing)
+    closed = state.closed & (problem.normal @ shift == 0)
+    closed[pushing] = state.closed[pushing]
+    reach = abs(answer.displacement) + abs(shift)
+    for rows, limit in ((problem.normal[pushing], problem.gap[pushing]), (problem.tie, problem.tie_value)):
+        if np.any(abs(rows @ shift) > UNMOVED * lengths_that_meet(problem, rows, limit, reach)):
+            return state, free[:, :0]
+    moved = replace(state.answer, displacement=state.answer.displacement + extend(shift / unit))
+    return _out_of_rounding(ClosedState.of(state.problem, closed, moved), free / unit[:, None]), free
+
+
+def _out_of_rounding(state: ClosedState, motions: Array) -> ClosedState:
+    """Return a state shifted along free motions (n, q) out of contacts that are penetrated by rounding."""
+    rows = state.problem.normal @ motions
+    for _ in range(SHIFT_CORRECTIONS):
+        if not state.penetrated.any():
+            break
+        gap = state.left.gap.double()
+        met = np.flatnonzero((gap < WITHIN_ROUNDING * state.length) & np.any(rows != 0, axis=1))
+        shift = shift_within_gaps(rows[met], gap[met] - SHIFTED * abs(gap[met]), np.zeros(motions.shape[1]))
+        moved = replace(state.answer, displacement=state.answer.displacement + extend(motions @ shift))
+        state = ClosedState.of(state.problem, state.closed, moved)
+    return state
+
+
 def _blocked_either_way(rows: Array) -> Array | None:
     """Return the motions (q, r) that rows (p, q) of contacts that touch leave; None where they block none either way.
 
     Of all a with rows a <= 0 a row has rows_i a = 0 throughout where others oppose it, as two walls do that touch from
     both sides: those rows are the ones for which a linear program finds no room, max sum s, rows a + s <= 0, s <= 1.
     """
-    count, dimension = rows.shape
-    if count < 2:
+    if len(rows) < 2:
         return None
-    unit = rows / np.linalg.norm(rows, axis=1)[:, None]
+    unit = np.unique((rows / np.linalg.norm(rows, axis=1)[:, None]).round(SAME_DIGITS), axis=0)
+    count, dimension = unit.shape
     cost = np.concatenate([np.zeros(dimension), -np.ones(count)])
     bounds = [(None, None)] * dimension + [(0.0, 1.0)] * count
     found = highs(cost, A_ub=np.hstack([unit, np.eye(count)]), b_ub=np.zeros(count), bounds=bounds)
@@ -127,70 +199,6 @@ def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basi
             break
         shift = shift + basis @ shift_within_gaps(rows, room, np.zeros(basis.shape[1]))
     return shift
-
-
-# The regularisation of the minimum-norm equations with unit rows, removed by refinement.
-REGULARISATION, REFINEMENTS = 1e-12, 6
-
-
-def least_solution(rows: Any, right: Vector) -> Vector:
-    """Return the x (q,) of least norm with R x = b for a sparse R (p, q), whose rows may depend on each other.
-
-    It solves x + R' y = 0, R x - d y = b with a small d, refined to rounding. With dependent rows its norm exceeds the
-    least one by at most about 1e-4.
-
-    Raises BackendFailed: the factorisation ran out of memory, or met a pivot of zero.
-    """
-    lengths = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
-    (p, q), unit = rows.shape, sp.csr_matrix(sp.diags(1.0 / lengths) @ rows)
-    matrix = sp.bmat([[sp.identity(q), unit.T], [unit, -REGULARISATION * sp.identity(p)]], format="csc")
-    solve = factorised(matrix, INDEFINITE, EliminationOrder(q), np.arange(q))
-    found, last = np.zeros(q), np.inf
-    for _ in range(REFINEMENTS):
-        left = right / lengths - unit @ found
-        if not 0 < (size := float(np.max(abs(left), initial=0.0))) < last:
-            break
-        found, last = found + solve(np.concatenate([np.zeros(q), left]))[:q], size
-    return np.asarray(found)
-
-
-# The most entries of E E', and its least pivot with unit diagonal.
-MOST_ENTRIES, WELL_APART = 1e7, 1e-6
-
-
-def inverse_of_gram(rows: Any) -> Callable[[Array], Array] | None:
-    """Return a function that solves E E' X = B (a, q) for sparse rows E (a, n), None if they are nearly dependent.
-
-    If E E' is ill-conditioned, [I E'; E 0] is used, with the root of its condition number.
-    """
-    n = rows.shape[1]
-    if np.sum(np.square(np.bincount(rows.indices, minlength=n), dtype=float)) <= MOST_ENTRIES:
-        gram = SuperLU(sp.csc_matrix(rows @ rows.T))
-        if gram.smallest_pivot > WELL_APART:
-            return gram.solve
-    try:
-        both = with_pivots(sp.bmat([[sp.identity(n), rows.T], [rows, None]], format="csc"))
-    except BackendFailed:
-        return None
-    return lambda right: np.column_stack([-both(np.concatenate([np.zeros(n), one]))[n:] for one in right.T])
-
-
-# The number of rows up to which weights are computed by dense algebra, and corrections for more rows.
-MOST_DENSE, CANCELLATIONS = 500, 2
-
-
-def nearly_cancelling(rows: Any, scale: Vector, weights: Vector) -> Vector:
-    """Return the weights (q,) with the least sum of unit rows; for many rows those near given weights."""
-    rows = sp.csr_matrix(rows @ sp.diags(scale))
-    if rows.shape[0] <= MOST_DENSE:
-        length = np.linalg.norm(rows.toarray(), axis=1)
-        _, rotation = right_singular((rows.toarray() / length[:, None]).T)
-        return np.asarray(rotation[-1] / length)
-    across = SparseRows(rows.T.tocsr())
-    for _ in range(CANCELLATIONS):
-        part, left = sp.csr_matrix((sp.diags(abs(weights)) @ rows).T), (across @ extend(weights)).double()
-        weights = weights * (1.0 - np.sign(weights) * least_solution(part, left))
-    return weights
 
 
 def presses(state: ClosedState) -> bool:
@@ -487,14 +495,3 @@ def _corrected(
     tie_force = answer.tie_force + extend(held[len(others) :])
     after = ExtendedAnswer(answer.displacement + extend(D * (v + change)), pushing, None, tie_force)
     return after, now, D * moved
-
-
-def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
-    """Return the minimum-norm least-squares solution w (p,) of rows w = -excess, ties w = 0.
-
-    Rows that are dependent up to rounding count as dependent.
-    """
-    every = np.vstack([rows, ties])
-    size = np.linalg.norm(every, axis=1)
-    wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
-    return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=WITHIN_ROUNDING)[0])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late, seconds_left
+from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector, refuse_late, seconds_left
 
 # W has a unit diagonal: a row depends on the closed contacts if they reduce its compliance below this.
 DEPENDENT = 1e-11
@@ -25,8 +25,12 @@ STEPS_UNTIMED = 8
 # The energy rises with each step. If it falls by this part and beyond rounding, or does not rise in as many steps as
 # there are rows, W is not accurate enough to continue.
 FALLEN, ROUNDED = 1e-3, 1e-12
+# Unit rows closer to dependence than this are dependent up to rounding.
+DEPENDENT_BY_ROUNDING = 8 * EPS
 # The rounding by which a shift may exceed gaps, relative to its lengths.
 SHIFT_SLACK = 1e-15
+# With more gaps than this, those that shifts on the way exceed are met, at first so many of them.
+MANY_GAPS, EXCEEDED = 400, 50
 # Forces of a linear program below this part of the load count as zero.
 CARRIES = 1e-9
 # The most steps of the simplex method for each row and unknown; one or two are usual.
@@ -364,20 +368,45 @@ def forces_without_tension(rows: Array, resultant: Vector, pushing_only: Mask) -
     return force, residual
 
 
+def least_closing(rows: Array, ties: Array, excess: Vector) -> Vector:
+    """Return the minimum-norm least-squares solution w (p,) of rows w = -excess, ties w = 0.
+
+    Rows that are dependent up to rounding count as dependent.
+    """
+    every = np.vstack([rows, ties])
+    size = np.linalg.norm(every, axis=1)
+    wanted = np.concatenate([-excess, np.zeros(len(ties))]) / size
+    return np.asarray(np.linalg.lstsq(every / size[:, None], wanted, rcond=DEPENDENT_BY_ROUNDING)[0])
+
+
 def shift_within_gaps(rows: Array, gap: Vector, wanted: Vector) -> Vector:
     """Return the nearest shift that leaves no contact penetrated: min |a - wanted| subject to rows a <= gap.
 
     If there is none, as between two contacts penetrated by rounding, these remain penetrated.
     """
     length = np.linalg.norm(rows, axis=1)
-    unit, room = rows / length[:, None], gap / length
+    within = _shift_within_many if len(rows) > MANY_GAPS else _shift_within
+    return within(rows / length[:, None], gap / length, wanted)
+
+
+def _shift_within(unit: Array, room: Vector, wanted: Vector) -> Vector:
     none = np.zeros(len(room), dtype=bool)
     slack = SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
     try:
         force, _, _ = dual_active_set(unit @ unit.T, unit @ wanted - room, none, slack, 50 * len(room) + 50)
     except Infeasible:
-        return shift_within_gaps(rows, np.maximum(gap, 0.0), wanted) if np.any(gap < 0) else np.zeros(len(wanted))
+        return _shift_within(unit, np.maximum(room, 0.0), wanted) if np.any(room < 0) else np.zeros(len(wanted))
     return np.asarray(wanted - unit.T @ force)
+
+
+def _shift_within_many(unit: Array, room: Vector, wanted: Vector) -> Vector:
+    """Return the shift of `shift_within_gaps` where rows are many, by those only that shifts on the way exceed."""
+    met, shift = np.zeros(len(room), dtype=bool), wanted
+    slack = 2 * SHIFT_SLACK * (abs(room) + abs(unit) @ abs(wanted))
+    while np.any((beyond := np.where(met, 0.0, unit @ shift - room - slack)) > 0):
+        met |= beyond >= max(np.partition(beyond, -EXCEEDED)[-EXCEEDED], np.finfo(float).tiny)
+        shift = _shift_within(unit[met], room[met], wanted)
+    return shift
 
 
 def given_rows(kind: str, rows: Any, limits: Vector) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow,
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import equilibration, least_norm, pardiso
 from contactqp.linalg.condensation import condense
+from contactqp.linalg.convexity import least_solution
 from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
 from contactqp.linalg.existence import (
     DRIVEN,
@@ -88,8 +89,7 @@ SYSTEMS_OF_ONE = 1000  # steps of refinement for a method with a single answer
 ENOUGH = 1e-18
 # Unit weights with products E'w below this, and unit motions with products E z below this, may be a ray.
 NEARLY = 1e-5
-# The time limit of HiGHS's active set [s], which finds vertices that interior points do not.
-LAST, LONGEST = "highs", 20.0
+LAST, LONGEST = "highs", 20.0  # its active set finds vertices that interior points do not; its time limit [s]
 SPARSE = "sparse"  # the name of this route among others
 
 
@@ -138,8 +138,10 @@ class SparseRun(Run):
 
     def _identified(self, settings: Settings) -> Candidate:
         """Return the answer of `_settled`, or the last one tried when time is up."""
+        problem = self.problem
+        at_rest = not (problem.load.any() or np.any(problem.gap < 0) or problem.tie_value.any())
         try:
-            return self._settled(settings) if self.problem.contacts else self._linear()
+            return self._linear() if at_rest or not problem.contacts else self._settled(settings)
         except NotConverged as error:
             if self._last is None or not time_is_up():
                 raise
@@ -233,8 +235,8 @@ class SparseRun(Run):
                 tried.append(str(error))
 
     def _linear(self) -> Candidate:
-        """Solve the linear system that remains without contacts."""
-        u, normal, tie = (np.zeros(size) for size in (self.problem.dimension, 0, self.problem.ties))
+        """Solve the linear system that remains without contacts; without load, all of them may be left open."""
+        u, normal, tie = (np.zeros(size) for size in (self.problem.dimension, self.problem.contacts, self.problem.ties))
         state = solved_from(self._twin, Answer(u, normal, None, tie), self._effort)
         if not state.holds:
             self.refuse_conflict()
@@ -292,9 +294,7 @@ class SparseRun(Run):
             with in_any_time():  # the problem is solved, and this is cheap
                 self._state = least_norm.with_least_forces(self._state, self._effort)
         self._state = least_norm.without_needless_forces(self._state)
-        given = _candidate(self._state)
-        remember(self._state, given.answer)
-        return self._at_rest(Final(self._scaling.unscale(given).answer, polished=True))
+        return self._at_rest(self._state)
 
     def _polish_in_time(self) -> None:
         """Refine a backend's answer on its closed contacts, or a more accurate one; keep it when time is up."""
@@ -315,20 +315,24 @@ class SparseRun(Run):
             if not time_is_up():
                 raise
 
-    def _at_rest(self, final: Final) -> Final:
-        """Return the answer without its part along free motions, which are listed, if the certificate condenses."""
-        problem = self.problem
-        if systems_of(problem) is not Systems.CONDENSED:
+    def _at_rest(self, state: ClosedState) -> Final:
+        """Return the answer of a state; what lies along free motions is left out if the rest still solves a program."""
+        problem, final = self.problem, self._final_of(state)
+        pushing = pushing_contacts(problem, final.answer)
+        resisting = np.isin(np.arange(problem.contacts), pushing)
+        held = state if np.array_equal(resisting, state.closed) else replace(state, closed=resisting)
+        if unique_on(held).displacement:
+            return final  # nothing is free, and a search would not count in the time to the answer
+        unit = self._scaling.length * self._scaling.unknowns
+        condensed = condense(problem) if systems_of(problem) is Systems.CONDENSED else None  # the certificate has it
+        resting, free = least_norm.at_rest(problem, condensed, (state, final.answer), pushing, unit)
+        if mostly_bare(problem) and not (resting.holds and (narrow(resting) or not narrow(state))):
             return final
-        if self._state is None or unique_on(self._state).displacement:
-            return final  # nothing is free, and a condensation would not count in the time to the answer
-        answer, condensation = final.answer, condense(problem)
-        pushing = pushing_contacts(problem, answer)
-        shift, free = least_norm.shift_to_least_norm(problem, condensation, answer, pushing)
-        if not (free.shape[1] or shift.any()):
-            return final
-        resting = replace(answer, displacement=answer.displacement + shift)
-        return replace(final, answer=resting, free_motions=described(problem, free))
+        return replace(self._final_of(resting), free_motions=described(problem, free))
+
+    def _final_of(self, state: ClosedState) -> Final:
+        remember(state, (given := _candidate(state)).answer)
+        return Final(self._scaling.unscale(given).answer, polished=True)
 
     def work(self, corrections: int) -> Work:
         """Return the work so far, without factorisations inside the backend."""
@@ -485,7 +489,7 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
         if not np.any(left[kept]):
             break
         try:
-            weights = weights * (1.0 - np.sign(weights) * least_norm.least_solution(part[kept], left[kept]))
+            weights = weights * (1.0 - np.sign(weights) * least_solution(part[kept], left[kept]))
         except BackendFailed:
             return None
     left = (across @ extend(weights)).double()

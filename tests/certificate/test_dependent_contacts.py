@@ -9,7 +9,7 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.admissible_pair import least_forces, least_retreat
-from contactqp.linalg.least_norm import least_closing
+from contactqp.linalg.nonnegative import least_closing
 from contactqp.model.solution import Solution
 
 

@@ -354,7 +354,7 @@ def test_forces_that_no_factors_bound_have_a_reason_instead(monkeypatch: pytest.
     problem = cq.ContactProblem(sp.eye_array(m + 1).tocsr(), E.T @ np.ones(m), E, np.zeros(m))
     answer = Answer(np.zeros(m + 1), np.ones(m), None, np.zeros(0))
     assert energy_bounds(problem, answer).force_bound is not None
-    monkeypatch.setattr("contactqp.linalg.least_norm.WELL_APART", 2.0)
+    monkeypatch.setattr("contactqp.linalg.convexity.WELL_APART", 2.0)
     monkeypatch.setattr("contactqp.linalg.schur.OF_BAND", 0.0)
     found = energy_bounds(problem, answer)
     assert found.force_bound is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.linalg.condensation import condense
@@ -49,3 +50,79 @@ def test_large_loads_that_balance_on_a_stiff_body_drive_no_free_motion() -> None
     moved = np.array([14861, -20195, 7349, -5176, -18053, -2672, -5947, -24794, -10541, 5254, 11581]) / 20032
     assert cq.certify(problem, moved, [0.0, 1.875, 1.125, 0.0]).proven
     assert cq.solve(problem).normal_force == pytest.approx([0.0, 1.875, 1.125, 0.0], abs=1e-12)
+
+
+def chain(n: int) -> sp.csr_matrix:
+    """Return the stiffness of n nodes joined by springs of one, free to slide."""
+    diagonal = np.full(n, 2.0)
+    diagonal[[0, -1]] = 1.0
+    return sp.diags([np.full(n - 1, -1.0), diagonal, np.full(n - 1, -1.0)], [-1, 0, 1], format="csr")
+
+
+def sliding_chains(chains: int, n: int, contacts: int, load: float) -> tuple[cq.ContactProblem, np.ndarray, np.ndarray]:
+    """Return chains whose neighbours may meet, and their displacement of least norm and forces in closed form.
+
+    A spring that carries N shortens by N or as far as its contact admits, which carries the rest.
+    """
+    rng, first = np.random.default_rng(0), np.arange(contacts)
+    f = load * rng.integers(-4, 5, (chains, n)).astype(float)
+    f[:, 0] -= f.sum(axis=1)
+    columns = np.stack([first, first + 1], axis=1).ravel()
+    meets = sp.csr_matrix((np.tile([1.0, -1.0], contacts), (np.repeat(first, 2), columns)), shape=(contacts, n))
+    gap, carried = rng.integers(1, 9, (chains, contacts)) / 8, np.cumsum(f, axis=1)[:, :-1]
+    shortened = carried.copy()
+    shortened[:, :contacts] = np.minimum(carried[:, :contacts], gap)
+    u = np.hstack([np.zeros((chains, 1)), -np.cumsum(shortened, axis=1)])
+    K, E = (sp.block_diag([part] * chains, format="csr") for part in (chain(n), meets))
+    problem = cq.ContactProblem(K, f.ravel(), E, gap.ravel())
+    return problem, (u - u.mean(axis=1)[:, None]).ravel(), (carried - shortened)[:, :contacts].ravel()
+
+
+@pytest.mark.parametrize("load", [1.0, 0.0])
+@pytest.mark.parametrize(
+    ("chains", "n", "contacts"), [(1, 2, 1), (1, 20, 10), (3, 10, 8), (1, 1000, 600), (5, 400, 300)]
+)
+def test_sparse_systems_list_free_motions_and_return_the_least_norm(
+    chains: int, n: int, contacts: int, load: float
+) -> None:
+    """No contact across the chains resists their sliding, also where many are closed."""
+    problem, moved, pushed = sliding_chains(chains, n, contacts, load)
+    solution, size = cq.solve(problem, condense=False), abs(moved).max() or 1.0
+    assert solution.certificate.proven
+    assert solution.work.retained == problem.dimension
+    assert len(solution.free_motions) == chains
+    assert solution.displacement == pytest.approx(moved, abs=1e-13 * size * bool(load), rel=0)
+    assert solution.normal_force == pytest.approx(pushed, abs=1e-12 * size * bool(load), rel=0)
+
+
+@pytest.mark.parametrize(
+    ("problem", "moved", "free"),
+    [
+        (cq.ContactProblem([[0.0, 0], [0, 0]], [1.0, 0], [[1.0, 0], [0, 1], [0, -1]], [1.0, 5, -3]), [1, 3], 1),
+        (cq.ContactProblem(np.zeros((2, 2)), [1.0, 1], [[1.0, 1], [-1, 0], [0, -1]], [1.0, 0, 0]), [0.5, 0.5], 1),
+        (cq.ContactProblem(np.diag([1.0, 0]), [1.0, 0], [[0.0, -1]], [2.0]), [1, 0], 1),
+        (cq.ContactProblem([[1.0, -1], [-1, 1]], [1.0, -1], [[1.0, -1]], [0.5]), [0.25, -0.25], 1),
+        (cq.ContactProblem([[1.0, -1], [-1, 1]], [0.0, 0], [[1.0, 0], [0, -1]], [-1.0, 1]), [-1, -1], 0),
+        (cq.ContactProblem([[1.0, -1], [-1, 1]], [0.0, 0], [[1.0, 0], [0, -1]], [-1.0, 2]), [-1, -1], 1),
+    ],
+)
+def test_programs_of_sparse_systems_rest_at_the_least_norm(problem: cq.ContactProblem, moved: list, free: int) -> None:
+    """What neither load nor rows determine is nearest to zero, at the gaps where these leave zero out."""
+    solution = cq.solve(problem, condense=False)
+    assert solution.displacement == pytest.approx(moved, abs=1e-14)
+    assert len(solution.free_motions) == free
+    assert solution.certificate.proven
+
+
+@pytest.mark.parametrize("decimal", [2.0**-20, 1e-6])
+def test_a_chain_over_many_bounds_rests_on_the_first_that_it_meets(decimal: float) -> None:
+    """The load balances, to rounding only in decimals, and the least norm presses nothing."""
+    n = 3000
+    load = np.random.default_rng(0).integers(-3, 3, n).astype(float)
+    load[0] -= load.sum()
+    problem = cq.ContactProblem(chain(n), load * decimal, -sp.identity(n, format="csr"), np.full(n, -1.0))
+    solution = cq.solve(problem)
+    moved = -np.concatenate([[0.0], np.cumsum(np.cumsum(load)[:-1])]) * decimal
+    assert solution.displacement == pytest.approx(moved - moved.min() + 1, rel=1e-12)
+    assert len(solution.free_motions) == 1
+    assert not solution.normal_force.any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from contactqp.linalg.least_norm import least_solution, nearly_cancelling
+from contactqp.linalg.convexity import least_solution, nearly_cancelling
 
 
 def test_second_differences_are_met_where_least_squares_by_iteration_would_take_thousands_of_steps() -> None:
