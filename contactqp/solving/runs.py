@@ -57,7 +57,8 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense
 from contactqp.solving.methods.inexact_active_set import solve_by_iteration
-from contactqp.solving.methods.method import ACTIVE_SET
+from contactqp.solving.methods.method import ACTIVE_SET, CLASSICAL_ENFORCEMENT
+from contactqp.solving.methods.textbook_algebra import with_idle_motions_held
 
 
 class Meter:
@@ -300,6 +301,8 @@ class CondensedRun(Run):
         smaller = len(condensation.retained) < problem.dimension or condensation.rigid.count > 0
         bare = not problem.contacts and not problem.ties
         if not bare and not (smaller if wanted == "auto" else wanted):
+            if method.kind == CLASSICAL_ENFORCEMENT and condensation.rigid.count:
+                problem = with_idle_motions_held(problem, condensation)
             return True, _run_scaled(problem, method, settings)
         if settings.warm_start is not None:
             start = settings.warm_start.answer

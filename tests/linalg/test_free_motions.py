@@ -126,3 +126,23 @@ def test_a_chain_over_many_bounds_rests_on_the_first_that_it_meets(decimal: floa
     assert solution.displacement == pytest.approx(moved - moved.min() + 1, rel=1e-12)
     assert len(solution.free_motions) == 1
     assert not solution.normal_force.any()
+
+
+TEXTBOOK = {
+    "master-slave": {}, "lagrange-multiplier": {}, "penalty": {"penalty": 2.0**40},
+    "perturbed-lagrangian": {"perturbation": 2.0**40}, "augmented-lagrangian": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("load", [1.0, 0.0])
+@pytest.mark.parametrize(("method", "options"), TEXTBOOK.items())
+def test_textbook_systems_of_all_unknowns_are_regular_where_chains_slide(
+    method: str, options: dict, load: float
+) -> None:
+    """Springs without force hold what nothing drives, and the answer is that of the least norm."""
+    problem, moved, pushed = sliding_chains(2, 9, 5, load)
+    solution = cq.solve(problem, method=method, condense=False, **options)
+    assert solution.work.retained == problem.dimension
+    assert len(solution.free_motions) == 2
+    assert solution.displacement == pytest.approx(moved, abs=1e-9)
+    assert solution.normal_force == pytest.approx(pushed, abs=1e-3)  # rounding of penalties of 1e12

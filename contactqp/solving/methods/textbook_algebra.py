@@ -11,9 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NotConverged, shown
-from contactqp.linalg.condensation import condense
+from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import unknown_scale
-from contactqp.linalg.factorization import null_space
+from contactqp.linalg.factorization import fixing_unknowns, null_space
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
@@ -297,6 +297,24 @@ def _row_maxima(size: Matrix, rows: Vector, columns: Vector) -> Vector:
         scaled = sp.diags(rows) @ size @ sp.diags(columns)
         return np.asarray(scaled.max(axis=1).toarray()).ravel()
     return np.asarray((rows[:, None] * size * columns).max(axis=1))
+
+
+def with_idle_motions_held(problem: ContactProblem, condensation: Condensation) -> ContactProblem:
+    """Return the problem with springs at unknowns that hold the rigid motions which no contact and no tie resists.
+
+    No load drives these motions, so that the springs carry no force, and no textbook system is singular by them.
+    """
+    rows = [condensation.normal, condensation.tie]
+    if problem.frictional and condensation.tangent is not None:
+        rows.append(condensation.tangent.toarray())
+    free = condensation.unresisted(np.vstack(rows) * condensation.scale)
+    if not free.shape[1]:
+        return problem
+    held = fixing_unknowns(condensation.rigid.motions @ free, np.zeros(0, dtype=np.intp), problem.diagonal)
+    springs, largest = np.zeros(problem.dimension), float(np.max(problem.diagonal)) or 1.0
+    springs[held] = np.where(problem.diagonal[held] > 0, problem.diagonal[held], largest)
+    added = sp.diags(springs) if sp.issparse(problem.stiffness) else np.diag(springs)
+    return problem.replace(stiffness=problem.stiffness + added, near_null_space=None)
 
 
 # Components of a dependent unit row, and products of unit rows with unit motions, below this are rounding errors.
