@@ -102,8 +102,8 @@ class SlipLaw:
 
     @property
     def width(self) -> int:
-        """Return d - 1."""
-        return len(self.directions) // max(len(self.turns), 1)
+        """Return d - 1, 1 without contacts."""
+        return len(self.directions) // len(self.turns) if len(self.turns) else 1
 
     def dragged(self, normal: Extended, coefficient: Vector | None = None) -> Extended:
         """Return mu l t (flat) for forces l (m,), optionally with other coefficients."""

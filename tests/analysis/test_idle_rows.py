@@ -109,6 +109,15 @@ def test_gradients_and_jacobians_of_gaps_and_slips_there_are_those_of_derivative
                 )
 
 
+@pytest.mark.parametrize("tangent", [[[1.0, 0.0]], np.eye(2)])
+def test_friction_of_contacts_that_all_never_close_has_gradients(tangent: Any) -> None:
+    alone = cq.solve(cq.ContactProblem(np.diag([2.0, 2.0]), [1.0, -2.0], [[0.0, 1.0]], [np.inf], tangent, 0.5))
+    for parameter in ("load", "friction", "slip_origin", "gap", "stiffness"):
+        gradient = alone.pullback("friction_force", np.ones_like(alone.friction_force), parameter)
+        assert gradient.shape == np.shape(getattr(alone.problem, parameter))
+        assert not np.any(gradient)
+
+
 @pytest.mark.parametrize("rough", [False, True])
 def test_gaps_that_never_close_and_slips_there_have_the_rates_of_the_displacement(rough: bool) -> None:
     whole = cq.solve(pair(rough)[1])
