@@ -372,7 +372,7 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
         return reason
     limited = parameter not in ("load", "stiffness") and not (along and linearised.sharings_are_few)
     told = along and linearised.shares is not None and linearised.system is None  # by the rates
-    shared = of in FORCES and not (told or (along and linearised.only(of)))
+    shared = of in FORCES and not (told or (along and linearised.only(of, along)))
     if (linearised.redundant or linearised.shares) and (shared or limited):
         return REDUNDANT
     problem = linearised.problem
@@ -392,7 +392,7 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
         rate, error = rate_of_energy(linearised, direction)
         bound = error if may_be_bounded(linearised) else None
         return Derivative(rate, rate, rate, True, bound, bound_reason=why_unbounded(linearised, bound))
-    found = [_unique(linearised, of, side) for side in linearised.sides(direction)]
+    found = [_unique(linearised, of, side, direction) for side in linearised.sides(direction)]
     sides = [side for side in found if isinstance(side, Rates)]
     missing = [side for side in found if isinstance(side, NoRates)]
     # With friction, what is not unique on one side may not be so on the other, where other states may come, too.
@@ -418,11 +418,11 @@ def _along(linearised: Linearised, of: str, direction: Direction, parameter: str
     return Derivative(right if same else None, left, right, same, bound, reach, reason, why)
 
 
-def _unique(linearised: Linearised, of: str, side: Rates | NoRates) -> Rates | NoRates:
+def _unique(linearised: Linearised, of: str, side: Rates | NoRates, direction: Direction) -> Rates | NoRates:
     """Return the rates on a side where those of a quantity are unique, otherwise why there are none."""
     if isinstance(side, NoRates):
         return side
-    if of in FORCES and side.shared and not linearised.only(of):
+    if of in FORCES and side.shared and not linearised.only(of, direction):
         return NoRates(REDUNDANT)
     return side if unique_beside(side.motions, linearised.problem, of) else NoRates(FREE)
 

@@ -42,7 +42,7 @@ from contactqp.analysis.rate_systems import RateSystem
 from contactqp.analysis.shared_forces import NOTHING, Cones, Group
 from contactqp.analysis.slip_law import StateMargins, falls, steps_to_events
 from contactqp.linalg.nonnegative import CARRIES, DEPENDENT_ROWS, width_within
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 
@@ -99,11 +99,11 @@ class FrictionSharing:
                 return True
         return False
 
-    def only(self, of: str) -> bool:
-        """Return whether forces of one kind are the same for all distributions."""
-        free = np.any(self.null != 0, axis=1)
+    def only(self, of: str, friction: Vector) -> bool:
+        """Return whether forces of one kind are the same for all distributions, as coefficients change (m,)."""
+        free, along = np.any(self.null != 0, axis=1), self._cones.along
         first = np.r_[True, self._cones.owners[1:] != self._cones.owners[:-1]]
-        slides = np.array([i in self._cones.along for i in self._cones.owners], dtype=bool)
+        slides = np.array([i >= 0 and (i in along or friction[i] != 0) for i in self._cones.owners], dtype=bool)
         of_kind = dict(normal_force=first & (self._cones.owners >= 0), tie_force=self._cones.owners < 0)
         of_kind["friction_force"] = (self._cones.owners >= 0) & (~first | slides)
         return not np.any(free & of_kind[of])
@@ -176,16 +176,19 @@ class FrictionSharing:
         begins = {i: np.array([float(status[i])]) for i in self._cones.normal if self._cones.begins(i, status[i])}
         problem, width = self._problem, self._slip.shape[1]
         assert problem.tangent is not None
+        unknown = [i for i in self._cones.normal if self._cones.mu[i] == 0 and i not in self._cones.slips]
         for one in self.null.T:
             normal = np.zeros(problem.contacts)
             for place in np.flatnonzero(one)[::-1]:  # the first row of a contact is its normal one
                 if (i := self._cones.owners[place]) >= 0:
                     normal[i] = one[place] / self.scales.units[1][i]
+            if np.any(direction.friction[unknown] * normal[unknown]):
+                return False
             along = np.zeros_like(self._slip)
             across = np.zeros((problem.contacts, width, width))
             for i, t in begins.items():
                 along[i] = direction.friction[i] * normal[i] * t
-            for i, t in self._cones.along.items():
+            for i, t in self._cones.slips.items():
                 along[i] = direction.friction[i] * normal[i] * t
                 size = float(np.linalg.norm(self._slip[i]))
                 across[i] = self._cones.mu[i] * normal[i] / size * (np.eye(width) - np.outer(t, t))

@@ -273,10 +273,10 @@ class Linearised:
         others = np.setdiff1d(np.arange(self.problem.contacts), self.undecided)
         return states_hold(self.problem, self.status, known, self._slip, others)
 
-    def only(self, of: str) -> bool:
-        """Return whether normal or tie forces are unique although contacts or ties are redundant."""
+    def only(self, of: str, direction: Direction) -> bool:
+        """Return whether forces of one kind, and their rates, are unique although contacts or ties are redundant."""
         if self.shares is not None:
-            return self.shares.only(of)
+            return self.shares.only(of, direction.friction)
         asked = self.sharings_are_few and of in ("normal_force", "tie_force")
         return asked and self._sharing.only(ties=of == "tie_force")
 

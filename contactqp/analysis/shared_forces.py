@@ -57,7 +57,8 @@ class Cones:
 
     Attributes
     ----------
-    along : the directions of slip of the contacts that have slipped
+    slips : the directions of slip of the contacts that have slipped, of any coefficient
+    along : those of contacts with friction
     rows : (p, n) array, the directions of forces, a single ray for a contact with slip
     owners : (p,) array of int, the contacts of the rows, -1 - k for tie k
     """
@@ -80,8 +81,9 @@ class Cones:
         self.normal = {i: normal[k] / lengths[k] for i, k in places.items()}
         self.tangent = {i: tangent[width * k : width * (k + 1)] / lengths[k] for i, k in places.items()}
         size = np.linalg.norm(slip, axis=1)
-        moves = (slid | (abs(status) == 1)) & (self.mu > 0) & (size > 0)
-        self.along = {i: slip[i] / size[i] for i in places if moves[i]}
+        moves = (slid | ((abs(status) == 1) & (self.mu > 0))) & (size > 0)
+        self.slips = {i: slip[i] / size[i] for i in places if moves[i]}
+        self.along = {i: direction for i, direction in self.slips.items() if self.mu[i] > 0}
         rows: list[Array] = []
         owners: list[int] = []
         for i in places:

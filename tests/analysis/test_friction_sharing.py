@@ -110,6 +110,19 @@ def test_floors_of_other_coefficients_that_may_let_go_have_no_rates() -> None:
         assert found.reason
 
 
+def test_floors_without_friction_share_what_a_coefficient_of_one_of_them_makes() -> None:
+    """Of 2 on two smooth floors a coefficient of one changes the displacement by -l_1/2, 0 to -1, one of both by -1."""
+    floors = dict(normal=[FLOOR[0]] * 3, gap=[0.0, 0.0, 9.0], tangent=[FLOOR[1]] * 3, friction=[0.0, 0.0, 0.5])
+    smooth = cq.ContactProblem(np.diag([2.0, 2.0]), [1.0, -2.0], **floors)
+    for answer in (cq.solve(smooth), cq.exact(smooth)):
+        for of in ("displacement", "reaction", "friction_force"):
+            one, both = (answer.derivative(of, "friction", way) for way in ([1.0, 0.0, 0.0], [1.0, 1.0, 0.0]))
+            assert (one.value, one.left, one.right, one.exists) == (None, None, None, False)
+            assert both.exists == (of != "friction_force")
+        assert [float(x) for x in answer.derivative("displacement", "friction", [1, 1, 0]).value] == [-1.0, 0.0]
+    assert not np.any(cq.solve(smooth).derivative("friction_force", "load", [1.0, 0.0]).value)
+
+
 @pytest.mark.parametrize("blind", [False, True])
 def test_other_states_that_exert_the_same_force_are_not_overlooked(
     blind: bool, monkeypatch: pytest.MonkeyPatch
