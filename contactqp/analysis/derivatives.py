@@ -34,6 +34,7 @@ from contactqp.analysis.rate_data import (
     NoAnswer,
     NoRates,
     Rates,
+    named,
 )
 from contactqp.analysis.rates import Linearised
 from contactqp.analysis.slip_law import falls
@@ -43,6 +44,7 @@ from contactqp.certificate.uniqueness import moved_by, unheld, unique_beside
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_point
+from contactqp.model.coulomb import STICK
 from contactqp.model.problem_data import ReadOnly, read_array, read_matrix, read_only
 from contactqp.model.solution import Solution
 
@@ -370,6 +372,8 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     """Return why a quantity has no derivative by a parameter, along a direction or any, or None."""
     if (reason := linearised.irregular) is not None:
         return reason
+    if parameter == "slip_origin" and (reason := _drawn_on_supports(linearised, of, along)) is not None:
+        return reason
     limited = parameter not in ("load", "stiffness") and not (along and linearised.sharings_are_few)
     told = along and linearised.shares is not None and linearised.system is None  # by the rates
     shared = of in FORCES and not (told or (along and linearised.only(of, along)))
@@ -380,6 +384,20 @@ def _why_not(linearised: Linearised, of: str, parameter: str, along: Direction |
     driven = bool(motions) and parameter in ("load", "stiffness", "rows")
     driven = driven if along is None else along.driven != 0
     return FREE if driven or not unique_beside(motions, problem, of) else None
+
+
+def _drawn_on_supports(linearised: Linearised, of: str, along: Direction | None) -> str | None:
+    """Return why there are no rates by slip origins: a contact that sticks is to slip where supports hold it.
+
+    In the plane only its friction jumps, which no unknown feels; in space its friction turns, too.
+    """
+    problem, borders, tangents = linearised.problem, linearised.borders, linearised.scales.units[2]
+    if not problem.frictional or (of != "friction_force" and borders.drag.shape[1] == 1):
+        return None
+    drawn = (tangents == 0).reshape(borders.drag.shape) & (along is None or along.slip_origin != 0)
+    found = np.flatnonzero((linearised.status == STICK) & borders.still & np.any(drawn, axis=1))
+    text = "would have to slip along a tangent whose unknowns are all supported"
+    return f"{named(problem, found)} {text}" if len(found) else None
 
 
 def _along(linearised: Linearised, of: str, direction: Direction, parameter: str) -> Derivative:

@@ -363,13 +363,25 @@ def are_same(linearised: Linearised, of: str, sides: tuple[Rates, Rates], direct
     """
     back, ahead = sides
     if linearised.scales.same("displacement" if of == "energy" else of, back, ahead):
-        return True
+        return of != "friction_force" or _same_on_supports(linearised, back, ahead)
     if of != "energy":
         return False
     solution = linearised.solution
     size = abs(value_of(solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
     left, right = (energy_of_rates(linearised, side, direction)[0] for side in sides)
     return bool(abs(left - right) <= SAME * (size + abs(solution.displacement) @ abs(direction.load)))
+
+
+def _same_on_supports(linearised: Linearised, back: Rates, ahead: Rates) -> bool:
+    """Return whether friction along tangents whose unknowns are all supported has the same rates, beside other rates.
+
+    It is measured as the contact's normal force is.
+    """
+    scales = linearised.scales
+    _, normal, tangent, _ = scales.units
+    apart = abs(back.friction_force - ahead.friction_force) * normal[:, None]
+    largest = max(scales.largest(back), scales.largest(ahead))
+    return bool(np.all(apart[(tangent == 0).reshape(apart.shape)] <= SAME * largest))
 
 
 def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:

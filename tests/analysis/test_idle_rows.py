@@ -190,3 +190,29 @@ def test_a_side_without_an_answer_leaves_the_other_its_rate(
             assert one.reach is None or one.reach[missing == "right"] == 0.0
         sides = {"left": "minus", "right": "plus"}
         assert found.reason.startswith(f"towards {sides[missing]} the direction: ")
+
+
+def test_friction_on_supports_has_the_rates_of_the_law() -> None:
+    """With a slip of 1/2 there friction is a quarter of a force that begins; without slip it may be anything."""
+    foot = cq.ContactProblem(np.diag([4.0, 2.0]), [2.0, 0.0], [[0.0, -1.0]], [0.0], [[0.0, 0.0]], 0.25, [-0.5])
+    grazing = cq.solve(foot).derivative("friction_force", "load", [0.0, -1.0])
+    assert (grazing.left.tolist(), grazing.right.tolist(), grazing.exists) == ([[0.0]], [[0.25]], False)
+    sticking = cq.solve(foot.replace(load=[2.0, -3.0], slip_origin=[0.0]))
+    for found in (sticking, cq.exact(sticking.problem)):
+        assert found.derivative("friction_force", "slip_origin", [1.0]).value is None
+        assert not np.any(found.derivative("displacement", "slip_origin", [1.0]).value)
+    with pytest.raises(cq.InvalidProblem, match="would have to slip"):
+        sticking.pullback("friction_force", [[1.0]], "slip_origin")
+
+
+def test_in_space_friction_turns_as_a_slip_begins_where_supports_hold_it() -> None:
+    """Friction of 1/4, at most 1/2: as the origin moves by d across, the slip is (|d|/sqrt(3), -d), to either side."""
+    tangent = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    foot = cq.ContactProblem(np.diag([4.0, 4.0, 2.0]), [0.25, 0.0, -2.0], [[0.0, 0.0, -1.0]], [0.0], tangent, 0.25)
+    across = cq.solve(foot).derivative("displacement", "slip_origin", [[0.0, 1.0]])
+    assert (across.value, across.left, across.right) == (None, None, None)
+    assert "would have to slip" in across.reason
+    for far in (-(2.0**-20), 2.0**-20):
+        moved = cq.solve(foot.replace(slip_origin=[[0.0, far]])).displacement[0]
+        assert moved / abs(far) == pytest.approx(1 / np.sqrt(3.0), rel=1e-4)
+    assert cq.solve(foot).derivative("displacement", "slip_origin", [[1.0, 0.0]]).value == pytest.approx([1.0, 0, 0])
