@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
-from itertools import chain, combinations, pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NoReturn, Protocol, overload
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.analysis.load_cases import ContactRow, ContactTable, contact_table
 from contactqp.certificate.idle_rows import ActingRows
-from contactqp.errors import ContactQPError, NotCertified, NotConverged, Unsupported
+from contactqp.errors import ContactQPError, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.measures import of_rows
 from contactqp.linalg.refinement import OnSet, answer_on
@@ -31,14 +32,13 @@ from contactqp.model.problem_data import ReadOnly, read_only
 from contactqp.model.solution import Solution
 from contactqp.model.summary import Printed, history_table, wrapped
 from contactqp.solving.methods import find
+from contactqp.solving.solve import solve
 
 # Events nearer than this part of a leg coincide, as doubles cannot order them.
 SIMULTANEOUS = 1e-12
 # Rates below this part of the largest are zero.
 STEADY = 1e-12
 JUMPS = "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
-# The most subsets of simultaneous contacts tried if the quick search fails.
-TRIED_ONE_BY_ONE = 12
 
 
 @dataclass(frozen=True)
@@ -438,30 +438,35 @@ def _rates(direction: ContactProblem, condensation: Condensation, state: _State)
     trial, seen = certain, set()
     while trial.tobytes() not in seen:
         seen.add(trial.tobytes())
-        rates = _rates_on(direction, condensation, trial)
+        if (rates := _rates_on(direction, condensation, trial)) is None:
+            break
         tension, closing = _wrong_rates(state, trial, rates)
         if not tension.size and not closing.size:
             return trial, rates
         trial = np.union1d(np.setdiff1d(trial, tension), closing).astype(np.intp)
-    for subset in _subsets(state.undecided):
-        trial = np.union1d(certain, np.array(subset, dtype=np.intp)).astype(np.intp)
-        rates = _rates_on(direction, condensation, trial)
-        if not any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
-            return trial, rates
-    raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
+    trial = _solved(direction, certain, state.undecided)
+    rates = _rates_on(direction, condensation, trial)
+    if rates is None or any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
+        raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
+    return trial, rates
 
 
-def _subsets(contacts: Indices) -> chain[tuple[int, ...]]:
-    subset = contacts[:TRIED_ONE_BY_ONE]
-    return chain.from_iterable(combinations(subset, size) for size in range(len(subset) + 1))
+def _solved(direction: ContactProblem, certain: Indices, undecided: Indices) -> Indices:
+    """Return the closed contacts of the contact problem in rates, in which the certain ones stay closed."""
+    ties = sp.vstack([direction.tie, direction.normal[certain]])
+    try:
+        rates = solve(direction.with_contacts(undecided).replace(tie=ties, tie_value=np.zeros(ties.shape[0])))
+    except NoEquilibrium:
+        raise Unsupported(JUMPS) from None
+    pushing = rates.normal_force > STEADY * np.max(rates.normal_force, initial=0.0)
+    return np.union1d(certain, undecided[pushing]).astype(np.intp)
 
 
-def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Indices) -> OnSet:
+def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Indices) -> OnSet | None:
+    """Return the rates on closed contacts, None where the load drives a body that these do not hold."""
     rates = answer_on(direction, condensation, closed)
     load, inner = condensation.reduce_load(direction.load)
-    if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))):
-        raise Unsupported(JUMPS)
-    return rates
+    return None if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))) else rates
 
 
 def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, Indices]:

@@ -161,7 +161,9 @@ class Pairing(ReadOnly):
         if self.projection is None:
             raise InvalidProblem("pressure: points have no area: expected a pairing of a Surface")
         if given.shape != self.gap.shape:
-            raise InvalidProblem(f"normal_force: expected shape {self.gap.shape}, got {given.shape}")
+            fewer = given.ndim == 1 and len(given) < len(self.gap)
+            left_out = "; a problem leaves out contacts of supported nodes, see System.free_contacts" if fewer else ""
+            raise InvalidProblem(f"normal_force: expected shape {self.gap.shape}, got {given.shape}{left_out}")
         return self.projection.of(given)
 
 

@@ -93,6 +93,37 @@ def test_what_cannot_be_followed_is_refused() -> None:
         cq.follow_path(loose, [[1.0]], events="exact")
 
 
+def resting_beam(load: list[float]) -> cq.ContactProblem:
+    """A free beam, EI = 1, on three supports at 0, 1 and 2; loads at 1/2 and 3/2 [downwards]."""
+    K, s = np.zeros((10, 10)), 0.5
+    rows = [[12, 6 * s, -12, 6 * s], [6 * s, 4 * s * s, -6 * s, 2 * s * s]]
+    rows += [[-12, -6 * s, 12, -6 * s], [6 * s, 2 * s * s, -6 * s, 4 * s * s]]
+    for i in range(4):
+        K[2 * i : 2 * i + 4, 2 * i : 2 * i + 4] += np.array(rows) / s**3
+    supports, forces = np.zeros((3, 10)), np.zeros(10)
+    supports[[0, 1, 2], [0, 4, 8]] = -1.0
+    forces[[2, 6]] = [-part for part in load]
+    return cq.ContactProblem(K, forces, supports, np.zeros(3))
+
+
+def test_a_free_body_at_rest_is_held_by_what_it_rests_on() -> None:
+    """Exact events: a load in one span lifts the beam off the third support, two equal ones press 5/16, 22/16, 5/16."""
+    one, two = resting_beam([1.0, 0.0]), resting_beam([1.0, 1.0])
+    history = cq.follow_path(two, loads=[one.load, two.load, one.load], events="exact")
+    assert all(solution.certificate.passed for solution in history)
+    at = {time: force for time, force in zip(history.times, history.normal_forces, strict=True)}
+    assert at[1.0] == pytest.approx([0.5, 0.5, 0.0], rel=1e-12)
+    assert at[2.0] == pytest.approx([5 / 16, 22 / 16, 5 / 16], rel=1e-12)
+    # If it could pull, the third support would have -3/32 of the first load and 13/32 of the second.
+    third = [(event.kind, event.time) for event in history.events if event.contact == 2]
+    assert third == [("closed", pytest.approx(1 + 3 / 13, rel=1e-12)), ("opened", pytest.approx(3 - 3 / 13, rel=1e-12))]
+    pressed = cq.ContactProblem(np.zeros((2, 2)), [-1.0, 0.1], [[-1.0, 1.0], [-1.0, -1.0]], [0.0, 0.0])
+    rigid = cq.follow_path(pressed, loads=[[-1.0, 0.1]], events="exact")
+    assert rigid[-1].normal_force == pytest.approx([0.55, 0.45], rel=1e-14)
+    with pytest.raises(cq.Unsupported, match="sets a loose body going"):  # it tips
+        cq.follow_path(pressed, loads=[[-1.0, 0.1], [-1.0, 1.1]], events="exact")
+
+
 def test_a_loose_body_is_followed_in_steps() -> None:
     history = cq.follow_path(block_between(seed=1), [block_between(seed=1).load], steps=5)
     assert np.all(np.diff(history.normal_forces.sum(axis=1)) > 0)
