@@ -82,8 +82,9 @@ def large_deformation(
     tie_values : sequence of (k,) arrays, optional
         b at the corners, one for each of `loads`, from A u of the start; without them A u stays what it is.
     friction : float or (m,) array, optional
-        Coulomb's coefficient. The slip of a step is counted from where the contact was at the step before, along the
-        tangents of now: exact on planes, of the chord on curved obstacles, where convergence is then linear.
+        Coulomb's coefficient. The slip of a step is counted from where the contact was at the step before, or from
+        where it lands within the step, along the tangents of now: exact on planes, of the chord on curved obstacles,
+        where convergence is then linear.
     start : (n,) array or LargeSolution, optional
         A displacement to start from, at no load, or an equilibrium of an earlier history with this program, from whose
         load factor the steps that are left go on.

@@ -188,3 +188,22 @@ def test_a_force_that_jumps_or_does_not_belong_to_its_tangent_is_no_rounding(bod
     assert cq.large_deformation(Spring(), [[0.5]], steps=1)[-1].displacement == pytest.approx([0.5])
     with pytest.raises(cq.NotConverged):
         cq.large_deformation(body, [[0.5]], steps=1, max_iter=8)
+
+
+@pytest.mark.slow
+def test_a_tip_that_lands_and_sticks_does_so_where_it_lands_whatever_the_steps() -> None:
+    """Its cantilever is bent onto a floor. Where the tip lands no force acts, so that friction keeps it without any:
+    force and place are those without friction, in one step as in many.
+    """
+    rod = Elastica(8, 1e4)
+    n = rod.dimension
+    floor = cq.ObstacleContact([rod.points[-1]], cq.Plane([0.0, -0.7], [0.0, 1.0]), [[n - 2, n - 1]], dimension=n)
+    load = np.append(np.zeros(n - 1), -20.0)
+    held = dict(tie=np.eye(2, n), tie_values=[[0.0, 0.0]])
+    smooth = cq.large_deformation(rod, [load], floor, steps=1, **held)[-1]
+    for steps in (1, 3):
+        rough = cq.large_deformation(rod, [load], floor, steps=steps, friction=0.3, **held)[-1]
+        assert rough.contact_status.tolist() == ["stick"]
+        assert rough.normal_force == pytest.approx(smooth.normal_force, rel=1e-7)
+        assert abs(rough.friction_force[0, 0]) < 1e-6 * rough.normal_force[0]
+        assert rough.displacement[-2] == pytest.approx(smooth.displacement[-2], rel=1e-8)

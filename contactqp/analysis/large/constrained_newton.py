@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -85,10 +85,12 @@ def find_balance(
         K = loaded.hessian(now, forces)
         first = first if iterations else K
         start_error = _imbalance_before(loaded, now, K, forces, target, settings)
-        if not iterations and start_error.nothing and _sticks(loaded, now, forces, target, settings):
-            step = stationary_step(loaded, now, K, target, np.zeros(loaded.dimension), forces)
-            stayed = NewtonIteration(start_error.force, start_error.length, 1.0, 0.0, changed=False)
-            return Balance(now, forces, now, step, (stayed,), time.perf_counter() - started)
+        if not iterations and start_error.nothing and target.anchor is not None:
+            resting = now if _sticks(loaded, now, forces, target, settings) else _at_rest(now, forces, target)
+            if resting is not None:
+                step = stationary_step(loaded, resting, K, target, np.zeros(loaded.dimension), forces)
+                unmoved = NewtonIteration(start_error.force, start_error.length, 1.0, 0.0, changed=False)
+                return Balance(resting, forces, resting, step, (unmoved,), time.perf_counter() - started)
         step = newton_step(loaded, now, K, target, settings, step, forces)
         weight = max(weight, _weight(loaded, now, K, target, step))
         fraction, new, reason = _searched(loaded, now, K, target, settings, step, weight, start_error)
@@ -189,6 +191,17 @@ def _sticks(loaded: LoadedBody, now: Instant, forces: Forces, target: Target, se
     negligible = settings.tolerance * float(np.max(abs(now.displacement), initial=0.0))
     touches = np.all(abs(now.contact.gap[closed]) <= np.maximum(reach, negligible)[closed])
     return bool(still and touches and np.all(np.linalg.norm(forces.friction, axis=1) <= bound))
+
+
+def _at_rest(now: Instant, forces: Forces, target: Target) -> Instant | None:
+    """Return a body that no force acts on, with its overlaps, which are rounding, taken as 0; None if any force does.
+
+    To close such an overlap would leave internal forces of the size of its rounding, which may drive a mechanism, as a
+    cable is, along contacts whose friction is nothing without a force.
+    """
+    if any(np.any(force) for force in (target.load, now.internal, forces.normal, forces.tie)):
+        return None
+    return replace(now, contact=replace(now.contact, gap=np.maximum(now.contact.gap, 0.0)))
 
 
 def _imbalance_before(

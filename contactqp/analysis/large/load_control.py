@@ -39,6 +39,10 @@ NO_STIFFNESS = 1e-10
 BETWEEN = (0.25, 0.5, 0.75)
 # The relative distance within which friction is at its bound.
 STICKS = 1e-9
+# A contact has landed where its gap is below this part of what it was at the start of the step, and the most parts of a
+# step at which the motion before it lands is computed.
+LANDED = 1e-6
+MOST_SAMPLES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +133,11 @@ class LoadControl:
                 before.position,
                 before.gap,
                 touching,
-                lambda loaded, anchor: find_balance(
+                lambda loaded, anchor, part: find_balance(
                     loaded,
                     before.displacement,
                     forces_of(before),
-                    replace(target, anchor=anchor),
+                    replace(self._within(before.load_factor, t, part), anchor=anchor),
                     self.settings,
                 ),
             )
@@ -151,6 +155,10 @@ class LoadControl:
                 f"from load factor {t:.6g} the equilibrium is unstable: {solution.negative} motion(s) lower the energy"
             )
         return solution
+
+    def _within(self, start: float, end: float, part: float) -> Target:
+        """Return load and tie value at a part of a step, whose end is exact."""
+        return self.program.at(end if part == 1 else start + part * (end - start))
 
     def _crosses_barrier(self, before: LargeSolution, balance: Balance) -> bool:
         """Return whether an energy barrier lies between two equilibria: a motion of negative energy, at a point
@@ -324,31 +332,107 @@ def balance_with_anchors(
     position: Array,
     gap: Vector,
     touching: Any,
-    solve_with: Callable[[LoadedBody, Array], Balance],
+    solve_with: Callable[[LoadedBody, Array, float], Balance],
 ) -> tuple[Balance, Array]:
     """Return the balance at the end of a step, and the anchors (m, d) of its slips.
 
     A contact that touched is anchored at its previous position. One that closes is anchored where the motion without
-    this contact reaches the obstacle, at the fraction of the step at which its gap vanishes.
+    the contacts that close reaches the obstacle, at the part of the step at which its gap vanishes.
 
     Parameters
     ----------
     loaded : LoadedBody
     position, gap, touching : (m, d), (m,), (m,), at the start of the step
-    solve_with : function, the balance of a body whose slips start at anchors
+    solve_with : function, the balance of a body whose slips start at anchors, at a part of the step up to 1
     """
-    found = solve_with(loaded, position)
+    found = solve_with(loaded, position, 1.0)
     closes = (found.forces.normal > 0) & ~touching
     if not np.any(closes) or loaded.contact is None:
         return found, position
-    anchor = position.copy()
     far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
     free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
+    way = [Passage(0.0, position, gap)]
+
+    def pass_by(part: float) -> None:
+        now = solve_with(free, position, part).now
+        way.append(Passage(part, free.contact.positions(now.displacement), now.contact.gap - far))  # type: ignore[union-attr]
+        way.sort(key=lambda passage: passage.part)
+
     try:
-        beyond = solve_with(free, position)
-        end, reached = loaded.contact.positions(beyond.now.displacement), beyond.now.contact.gap - far
-    except NotConverged:  # without the contact the body is not held, so that only its final position is known
-        end, reached = loaded.contact.positions(found.now.displacement), found.now.contact.gap
-    fraction = np.clip(gap / np.maximum(gap - reached, TINY), 0.0, 1.0)
-    anchor[closes] += (fraction[:, None] * (end - position))[closes]
-    return solve_with(loaded, anchor), anchor
+        pass_by(1.0)
+        while len(way) < 2 + MOST_SAMPLES and (part := _next_part(way, np.flatnonzero(closes))) is not None:
+            pass_by(part)
+    except NotConverged:
+        if len(way) == 1:  # without the contact the body is not held, so that only its final position is known
+            way.append(Passage(1.0, loaded.contact.positions(found.now.displacement), found.now.contact.gap))
+    anchor = position.copy()
+    for i in np.flatnonzero(closes):
+        anchor[i] = _landing(way, int(i))
+    return solve_with(loaded, anchor, 1.0), anchor
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """Where the contacts are at a part of a step, in the motion without those that close."""
+
+    part: float
+    position: Array  # (m, d)
+    gap: Vector  # (m,)
+
+
+def _bracket(way: Sequence[Passage], i: int) -> tuple[Passage, Passage]:
+    """Return the passages between which the gap of a contact vanishes first, the last two if it does not."""
+    closed = next((k for k in range(1, len(way)) if way[k].gap[i] <= 0), len(way) - 1)
+    return way[closed - 1], way[closed]
+
+
+def _landing(way: Sequence[Passage], i: int) -> Vector:
+    """Return the position at which the gap of a contact vanishes, along a straight line within its bracket."""
+    before, after = _bracket(way, i)
+    fall = max(float(before.gap[i] - after.gap[i]), TINY)
+    fraction = min(max(float(before.gap[i]) / fall, 0.0), 1.0)
+    return np.asarray(before.position[i] + fraction * (after.position[i] - before.position[i]))
+
+
+def _next_part(way: Sequence[Passage], closes: Any) -> float | None:
+    """Return the part of the step to be computed next, at which the contact that is furthest from landing has landed
+    by interpolation; None where all have, or none lands.
+    """
+    worst, furthest = LANDED, None
+    for i in closes:
+        before, after = _bracket(way, i)
+        if before.gap[i] <= 0 or after.gap[i] > 0:
+            continue
+        left = min(float(before.gap[i]), -float(after.gap[i])) / float(way[0].gap[i])
+        if left > worst:
+            worst, furthest = left, i
+    if furthest is None:
+        return None
+    return _interpolated(way, furthest)
+
+
+def _interpolated(way: Sequence[Passage], i: int) -> float | None:
+    """Return the part at which the gap of a contact vanishes by interpolation (Chandrupatla 1997), None if its bracket
+    cannot be divided.
+
+    Parts are a parabola over the gaps of the bracket and of a neighbour where it is monotonic, and else the bracket is
+    halved; between the ends of a step they are a line.
+    """
+    before, after = _bracket(way, i)
+    k = way.index(before)
+    ends = [(before, after, way[k - 1])] if k else []
+    ends += [(after, before, way[k + 2])] if k + 2 < len(way) else []
+    part = (before.part + after.part) / 2
+    if not ends:
+        part = float(before.gap[i] / (before.gap[i] - after.gap[i]))
+    for near, far, third in sorted(ends, key=lambda three: -abs(three[0].gap[i])):
+        f, g, h = (float(passage.gap[i]) for passage in (near, far, third))
+        if len({f, g, h}) < 3:
+            continue
+        along, down = (near.part - far.part) / (third.part - far.part), (f - g) / (h - g)
+        if down**2 < along and (1 - down) ** 2 < 1 - along:
+            t = f / (g - f) * h / (g - h) + (third.part - near.part) / (far.part - near.part) * f / (h - f) * g / (
+                h - g
+            )
+            part = near.part + t * (far.part - near.part)
+    return part if before.part < part < after.part else None
