@@ -73,6 +73,11 @@ class Obstacle(Block):
 
     @model_validator(mode="after")
     def _own_keys(self) -> Self:
+        given = self.model_fields_set - {"name", "kind"}
+        fitting = [kind for kind, keys in OBSTACLES.items() if given <= {*keys[0], *keys[1]}]
+        if "kind" not in self.model_fields_set and fitting and self.kind not in fitting:
+            expected = " or ".join(map(repr, fitting))
+            raise ValueError(f"kind: expected {expected} beside {', '.join(sorted(given))}, and missing: a plane")
         required, optional = OBSTACLES[self.kind]
         check_own_keys(self, self.kind, required, ("name", "kind", *optional))
         return self

@@ -251,6 +251,11 @@ MUTATIONS = {
     "a body against itself": ('["upper.bottom", "lower.top"]', '["lower.top", "lower.top"]', "contacts[1] ('joint')"),
     "sides that face away": ('"lower.top"]', '"lower.bottom"]', "with a partner in reach"),
     "no radius": (', radius = "1 cm"', "", "obstacles[1] ('pipe'): radius: expected for a circle, and missing"),
+    "no kind": (
+        ', kind = "circle"',
+        "",
+        "obstacles[1] ('pipe'): kind: expected 'circle' or 'sphere' beside centre, inside, radius, and missing",
+    ),
     "negative radius": ('radius = "1 cm"', 'radius = "-1 cm"', "obstacles[1].radius ('pipe'): expected a positive"),
     "a plane's key": (
         ", inside = true }",
