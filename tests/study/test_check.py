@@ -283,3 +283,36 @@ def test_columns_of_forces_in_another_order_are_refused_and_their_names_told(cap
         code, _, err = run(capsys, "check", file, candidate)
         assert code == 2
         assert "expected columns in the order N, T1, T2" in err
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        (lambda r: r * [-1, 1, 1], "all normal forces have the opposite sign: with --compression negative this answer"),
+        (lambda r: -r, "all forces have the opposite sign"),
+        (lambda r: r * [1, -1, -1], "all tangential forces have the opposite sign"),
+        (lambda r: r[:, [1, 2, 0]], "the columns stand in the order (T1, T2, N)"),
+        (lambda r: r[:, [0, 2, 1]], "the two tangential directions are swapped"),
+        (lambda r: r * [1, 1, -1], "the second tangential direction has the opposite sign"),
+        (lambda r: r[::-1], "the contacts stand in reverse order"),
+        (lambda r: r.T.ravel(), "all normal forces stand before the tangential ones"),
+        (lambda r: r / 1000, "all forces are 0.001 times the right ones (kN instead of N?)"),
+        (lambda r: r / 2, "all forces are 0.5 times the right ones (half of a symmetric model?)"),
+        (lambda r: np.array([[float(f"{x:.6e}") for x in row] for row in r]), "with --tolerance 1e-0"),
+    ],
+)
+def test_the_cause_of_wrong_forces_is_said(tmp_path, capsys, mistake, words):
+    """Three points dragged apart on their own, W = 1: each pushes back with r_N, and slides with mu r_N, mu = 1/2."""
+    slip = np.array([[3.0, 4.0], [5.0, 12.0], [-8.0, 15.0]]) / 3
+    pressed = np.array([1.0, 2.0, 4.0]) / 3
+    offset = np.column_stack([-pressed, slip])
+    problem = cq.LocalProblem(delassus=np.eye(9), offset=offset.ravel(), friction=0.5, dimension=3)
+    cq.write_fclib(tmp_path / "points.hdf5", problem)
+    right = np.column_stack([pressed, -slip / np.linalg.norm(slip, axis=1)[:, None] * pressed[:, None] / 2])
+    np.save(tmp_path / "right.npy", right)
+    np.save(tmp_path / "wrong.npy", mistake(right))
+    files = str(tmp_path / "points.hdf5"), str(tmp_path / "wrong.npy")
+    assert run(capsys, "check", files[0], str(tmp_path / "right.npy"))[0] == 0
+    code, out, _ = run(capsys, "check", *files)
+    assert code == 1
+    assert words in " ".join(out.split())
