@@ -31,7 +31,7 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
     """Return the local form of a problem with bodies, each contact's components in the order (N, T1, T2).
 
     For a symmetric M the Delassus operator W is symmetrised, which removes rounding only; for an unsymmetric M it is
-    left as computed, and `asymmetry` measures it.
+    left as computed, and `asymmetry` measures it. Contacts with infinite gaps, which never close, are left out.
 
     Raises
     ------
@@ -53,6 +53,8 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
     """
     if isinstance(problem, LocalProblem):
         return problem
+    if isinstance(problem, ContactProblem) and np.isinf(problem.gap).any():
+        problem = problem.with_contacts(np.flatnonzero(problem.gap < np.inf))
     names = problem.contact_names if isinstance(problem, ContactProblem) else None
     bodies = GlobalProblem.of(problem) if isinstance(problem, ContactProblem) else problem
     p = len(bodies.joint_offset)

@@ -216,6 +216,11 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     >>> existence_margin(LocalProblem(delassus=W, offset=[-0.1, 0.0, -0.1, 0.0], friction=0.5, dimension=2)) < 0
     True
     """
+    if isinstance(problem, ContactProblem) and (rows := acting_rows(problem)) is not None:
+        rows.refuse_conflict()
+        if not rows.problem.frictional:
+            return 1.0  # no contact may close that has friction
+        problem = rows.problem
     form = LocalForm(problem if isinstance(problem, LocalProblem) else _local(problem))
     if np.any(form.joint_signs < 0):
         raise Unsupported("existence_margin: bodies that float, or joints without compliance (the theorem has neither)")

@@ -105,9 +105,52 @@ def test_a_solution_with_them_is_a_place_to_start_from() -> None:
     assert again.certificate.passed
 
 
+@pytest.mark.parametrize("enclose", [None, True, False])
+def test_rational_numbers_leave_out_what_never_closes(enclose: bool | None) -> None:
+    """The exact answer has the shape of the problem, an infinite gap where it has one, and no force there."""
+    problem = PROBLEM.with_contacts([1, 2, 3]).with_ties([1]) if enclose else PROBLEM
+    never, solution = problem.gap == np.inf, cq.solve(problem)
+    answer = cq.exact(problem, enclose=enclose)
+    assert answer.problem is problem
+    assert answer.rational is (not enclose)
+    assert [str(answer.gap[i]) for i in np.flatnonzero(never)] == ["inf"]
+    assert answer.doubles.gap == pytest.approx(solution.gap, abs=1e-15)
+    assert answer.doubles.normal_force == pytest.approx(solution.normal_force, abs=1e-15)
+    assert answer.doubles.displacement == pytest.approx(solution.displacement, abs=1e-15)
+    assert tuple(np.array(answer.contact_status)[never]) == ("open",)
+    assert all(not entry for entry in answer.normal_force[never])
+
+
+def test_equilibria_in_rational_numbers_leave_out_what_never_closes() -> None:
+    """A pad of 10 on a spring of one slides by two; seven contacts beside it never close, and count for nothing."""
+    rows, along = np.zeros((8, 2)), np.zeros((8, 2))
+    rows[:, 1], along[:, 0] = -1.0, 1.0
+    gap = np.array([np.inf] * 3 + [0.0] + [np.inf] * 4)
+    pad = cq.ContactProblem([[1.0, 0], [0, 0]], [5.0, -10], rows, gap, tangent=along, friction=0.25)
+    [state] = cq.exact_equilibria(pad)
+    assert state.displacement.tolist() == [Fraction(5, 2), 0]
+    assert state.normal_force.tolist() == [0, 0, 0, 10, 0, 0, 0, 0]
+    assert state.friction_force[:, 0].tolist() == [0, 0, 0, Fraction(5, 2), 0, 0, 0, 0]
+    assert state.contact_status == ("open",) * 3 + ("slip",) + ("open",) * 4
+    assert state.gap.tolist() == [np.inf] * 3 + [0] + [np.inf] * 4
+    assert state.slip[:, 0].tolist() == [Fraction(5, 2)] * 8
+    assert cq.exact(pad).normal_force.tolist() == state.normal_force.tolist()
+
+
+def test_the_margin_and_the_local_form_leave_out_what_never_closes() -> None:
+    rows = dict(normal=[[-1.0, 0.0], [1.0, 0.0]], gap=[0.5, np.inf], tangent=[[0.0, 1.0]] * 2, friction=0.3)
+    both = cq.ContactProblem(stiffness=[[2.0, 0.0], [0.0, 4.0]], load=[-3.0, 1.0], **rows)
+    one = both.with_contacts([0])
+    local = cq.local_form_of(both)
+    assert local.offset.tolist() == cq.local_form_of(one).offset.tolist()
+    assert local.contact_names == ("contact 0",)
+    assert cq.existence_margin(both) == cq.existence_margin(one)
+    assert cq.existence_margin(both.with_contacts([1])) == 1.0
+
+
 def test_what_has_no_number_for_infinity_says_so() -> None:
     with pytest.raises(cq.Unsupported, match="contact 2 never closes"):
-        cq.exact(PROBLEM)
+        cq.exact(PROBLEM).derivative("gap", "load", PROBLEM.load)
     with pytest.raises(cq.InvalidProblem, match="gap"):
         PROBLEM.replace(gap=[0.0, -np.inf, 1.0, 1.0])
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import importlib
 import time
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.exchange.problem_files import read_problem
@@ -117,7 +121,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
                 "exact: the stiffness was printed, and its rigid motions cost no energy to rounding only, which "
                 "rational numbers take for springs; state it in numbers that are exact, or as a scene"
             )
-        return _of_floats(_asked(problem, FLOATS, method, options, started), enclose)
+        return _of_any_gaps(problem, FLOATS, method, enclose, options, started)
     if isinstance(problem, LocalProblem):
         raise Unsupported("exact: a local problem of velocities and forces; give the problem with its stiffness")
     from contactqp.scene.scene import Scene
@@ -131,6 +135,21 @@ def _asked(problem: ContactProblem, source: str, method: str, options: dict[str,
     from contactqp.oracle.exact.rational_answer import Asked
 
     return Asked(problem, source, method, options, started)
+
+
+def _of_any_gaps(
+    problem: ContactProblem, source: str, method: str, enclose: bool | None, options: dict[str, Any], started: float
+) -> ExactSolution:
+    """Return the answer of a problem's floats; a contact that never closes is a row of zeros in rational numbers."""
+    never = np.flatnonzero(problem.gap == np.inf)
+    if not never.size:
+        return _of_floats(_asked(problem, source, method, options, started), enclose)
+    acts = np.where(problem.gap < np.inf, 1.0, 0.0)
+    finite = problem.replace(normal=sp.diags_array(acts) @ problem.normal, gap=np.where(acts > 0, problem.gap, 1.0))
+    answer = _of_floats(_asked(finite, source, method, options, started), enclose)
+    gap = answer.gap.copy()
+    gap[never] = np.inf
+    return replace(answer, problem=problem, gap=gap)
 
 
 def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:
@@ -191,7 +210,7 @@ def _of_scene(
         at_end = model.problem
         if scene.path is not None:
             at_end = at_end.replace(load=model.load_at(end_time(scene)))
-        return _of_floats(_asked(at_end, BODY, method, options, started), enclose)
+        return _of_any_gaps(at_end, BODY, method, enclose, options, started)
     from contactqp.oracle.exact.rational_answer import prove, prove_path
     from contactqp.oracle.exact.rational_problem import of_scene
     from contactqp.scene.building import NodeModel as Nodes

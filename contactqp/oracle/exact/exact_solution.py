@@ -33,8 +33,10 @@ ROUNDING_UP = 1.06
 WIDEST = 44
 
 
-def nearest(x: Fraction) -> float:
+def nearest(x: Fraction | float) -> float:
     """Return the nearest double, infinite on overflow (Python's division of integers is correctly rounded)."""
+    if isinstance(x, float):  # the infinite gap of a contact that never closes
+        return x
     try:
         return x.numerator / x.denominator
     except OverflowError:
@@ -47,7 +49,7 @@ def rounded_up(x: Fraction) -> float:
     return near if near == math.inf or Fraction(near) >= x else float(np.nextafter(near, math.inf))
 
 
-def ratio(x: Fraction) -> str:
+def ratio(x: Fraction | float) -> str:
     """Return a fraction as the text "p/q", of any length; Python refuses to print more than 4300 digits.
 
     >>> ratio(Fraction(-7, 3)), ratio(Fraction(4))
@@ -55,7 +57,7 @@ def ratio(x: Fraction) -> str:
     """
     from contactqp.linalg.rational import from_fraction
 
-    return str(from_fraction(x))
+    return str(x if isinstance(x, float) else from_fraction(x))
 
 
 def decimal(x: Fraction, digits: int = DIGITS) -> str:
@@ -84,13 +86,13 @@ def widened(x: Fraction, radius: float, digits: int) -> float:
     return rounded_up(exact)
 
 
-def number_data(x: Fraction, radius: float | None) -> dict[str, Any]:
+def number_data(x: Fraction | float, radius: float | None) -> dict[str, Any]:
     """Return plain data of a number: "exact" and "double" of a rational one, "mid", "radius" and "double" of an
     interval.
     """
     double = nearest(x)
     known: dict[str, Any] = {"double": double if math.isfinite(double) else None}
-    if radius is None:
+    if radius is None or isinstance(x, float):
         return {"exact": ratio(x)} | known
     return {"mid": decimal(x), "radius": widened(x, radius, DIGITS)} | known
 
@@ -152,7 +154,7 @@ class ExactSolution(AnswerOf[Fractions, Fractions | None], ReadOnly):
     """
 
     problem: ContactProblem = field(repr=False)
-    gap: Fractions  # (m,) g - E_N u [length], positive when open
+    gap: Fractions  # (m,) g - E_N u [length], positive when open; the float inf where a contact never closes
     slip: Fractions | None  # (m, d-1) E_T u - slip_origin [length]; at the end of a load path, from its start
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     rational: bool

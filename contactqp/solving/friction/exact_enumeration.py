@@ -16,6 +16,7 @@ decided.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -27,7 +28,7 @@ from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported, counted
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
-from contactqp.model.coulomb import OPEN, STICK, all_combinations
+from contactqp.model.coulomb import OPEN, STICK, all_combinations, combinations_of, plane_states
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
@@ -42,7 +43,7 @@ NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_orig
 
 
 class ExactData:
-    """A problem in Fractions; matrices are lists of rows.
+    """A problem in Fractions; matrices are lists of rows, of zeros and without friction where a contact never closes.
 
     Raises InvalidProblem: a name is unknown, a value is no rational number, or it does not round to the problem's.
     """
@@ -62,8 +63,12 @@ class ExactData:
             if any(row[j] != self.stiffness[j][i] for j in range(i)):
                 raise InvalidProblem(f"stiffness: expected exactly symmetric, row {i} is not")
         # The friction of a contact that cannot slide has no effect.
-        still = [not any(row) and not origin for row, origin in zip(self.tangent, self.slip_origin, strict=True)]
-        self.friction = [Fraction(0) if idle else mu for idle, mu in zip(still, self.friction, strict=True)]
+        moves = zip(self.tangent, self.slip_origin, strict=True)
+        still = np.array([not any(row) and not origin for row, origin in moves], dtype=bool)
+        self.never = problem.gap == np.inf
+        idle = still | self.never
+        self.friction = [Fraction(0) if one else mu for one, mu in zip(idle, self.friction, strict=True)]
+        self.normal = [[Fraction(0)] * len(row) if i else row for i, row in zip(self.never, self.normal, strict=True)]
 
     def _matrix(self, name: str) -> list[Row]:
         known = getattr(self._problem, name)
@@ -73,8 +78,8 @@ class ExactData:
         return [flat[i * width : (i + 1) * width] for i in range(len(floats))]
 
     def _vector(self, name: str) -> Row:
-        known = finite_gap(self._problem) if name == "gap" else getattr(self._problem, name)
-        return self._numbers(name, np.asarray(known))
+        known = getattr(self._problem, name)
+        return self._numbers(name, np.where(known < np.inf, known, 1.0) if name == "gap" else np.asarray(known))
 
     def _numbers(self, name: str, floats: np.ndarray[Any, Any]) -> Row:
         if name not in self._exact:
@@ -122,7 +127,7 @@ SEVERAL = (
 class ExactEquilibrium(AnswerOf[NDArray[Any], NDArray[Any]], ReadOnly):
     """One equilibrium in rational numbers: arrays of Fractions, signs and shapes of `contactqp.Solution`."""
 
-    gap: NDArray[Any]  # (m,)
+    gap: NDArray[Any]  # (m,), the float inf where a contact never closes
     slip: NDArray[Any]  # (m, 1)
     contact_status: tuple[str, ...]  # (m,) of "open" | "closed" | "grazing" | "stick" | "slip"
     continuum: bool  # whether it belongs to a continuum of equilibria
@@ -181,12 +186,10 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
         raise InvalidProblem("exact_equilibria: expected a problem with friction")
     if problem.slip_origin.shape[1] > 1:
         raise Unsupported("exact_equilibria: two tangential rows a contact; slip directions in space cannot be listed")
-    for count, most, what in (
-        (problem.contacts, MOST_CONTACTS, "contacts"),
-        (problem.dimension, MOST_UNKNOWNS, "unknowns"),
-    ):
+    closing = int(np.sum(problem.gap < np.inf))
+    for count, most, what in ((closing, MOST_CONTACTS, "contacts"), (problem.dimension, MOST_UNKNOWNS, "unknowns")):
         if count > most:
-            listed = refuse_many(problem.contacts) is None
+            listed = refuse_many(closing) is None
             beside = "; contactqp.equilibria lists those of this problem in doubles" if listed else ""
             raise Unsupported(
                 f"exact_equilibria: {count} {what}; at most {most} are few enough for rational numbers{beside}"
@@ -195,15 +198,10 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
 
 
 def rounded_equilibria(problem: ContactProblem) -> list[Answer]:
-    """Return all equilibria in rational numbers, rounded to doubles; contacts that never close are left out."""
-    kept = np.flatnonzero(problem.gap < np.inf)
-    rows = {name: getattr(problem, name)[kept] for name in ("normal", "gap", "tangent", "friction", "slip_origin")}
-    answers = []
-    for one in _listed(_Bodies(ExactData(problem.replace(**rows, contact_names=None), {}))):
-        push, drag = np.zeros(problem.contacts), np.zeros((problem.contacts, 1))
-        push[kept], drag[kept] = _doubles(one.normal_force), _doubles(one.friction_force)
-        answers.append(Answer(_doubles(one.displacement), push, drag, _doubles(one.tie_force)))
-    return answers
+    """Return all equilibria in rational numbers, rounded to doubles."""
+    names = ("displacement", "normal_force", "friction_force", "tie_force")
+    every = _listed(_Bodies(ExactData(problem, {})))
+    return [Answer(*(_doubles(getattr(one, name)) for name in names)) for one in every]
 
 
 def refuse_parts_without_equilibrium(problem: ContactProblem) -> None:
@@ -222,9 +220,11 @@ def _doubles(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
-    members = [
-        found for status in all_combinations(bodies.data.friction) if (found := bodies.members(status)) is not None
+    choices = [
+        (OPEN,) if never else plane_states(mu)
+        for never, mu in zip(bodies.data.never, bodies.data.friction, strict=True)
     ]
+    members = [found for status in combinations_of(choices) if (found := bodies.members(status)) is not None]
     points: list[Row] = []
     listed = []
     for one in members:
@@ -400,12 +400,13 @@ class _Members:
         forces = [self._value(row) for row in bodies.force_rows()]
         normal, friction = forces[: bodies.m], forces[bodies.m :]
         gap, slip = [-self._value(row) for row in bodies.gap], [self._value(row) for row in bodies.slip]
+        apart = [np.inf if never else one for one, never in zip(gap, bodies.data.never, strict=True)]
         return ExactEquilibrium(
             displacement=_array(self.displacement),
             normal_force=_array(normal),
             friction_force=_array(friction)[:, None],
             tie_force=_array([self._value(row) for row in bodies.tie_rows()]),
-            gap=_array(gap),
+            gap=_array(apart),
             slip=_array(slip)[:, None],
             contact_status=tuple(map(_status, normal, gap, slip, bodies.data.friction)),
             continuum=self.continuum,
@@ -438,7 +439,7 @@ def _status(force: Fraction, gap: Fraction, slip: Fraction, friction: Fraction) 
     return "slip" if slip else "stick"
 
 
-def _array(values: list[Fraction]) -> NDArray[Any]:
+def _array(values: Sequence[Fraction | float]) -> NDArray[Any]:
     array = np.empty(len(values), dtype=object)
     array[:] = values
     return array
@@ -489,7 +490,7 @@ def _row(values: Any) -> Row:
 
 
 def finite_gap(problem: ContactProblem) -> NDArray[np.float64]:
-    """Return the gaps (m,) of a problem that is solved in rational numbers, which have no infinity.
+    """Return the gaps (m,) of a problem for rational numbers, which have no infinity.
 
     Raises Unsupported: one is infinite.
     """
