@@ -333,6 +333,7 @@ def _verdict(
     failures += measured.state.failures
     pressing = (found.force_measure > tolerance) & ~measured.grazing
     notes = (*_hidden_gaps(problem, answer, found), *_notes(problem, pressing, measured.grazing, bounds))
+    notes += () if problem.diagonal.all() else messages.of_faint_levers(problem, answer)
     if abs(answer.displacement) @ found.meeting > messages.MUCH_MOVED * bounds.energy_scale**2:
         notes += tuple(messages.of_rounded_stiffness(problem, answer, bounds))
     if measured.supported.size or measured.dependent:

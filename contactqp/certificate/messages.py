@@ -12,6 +12,7 @@ from contactqp.certificate.uniqueness import UNKNOWN
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.measures import inner_forces
 from contactqp.model.arrays import EPS, Array, Indices, Vector
+from contactqp.model.names import describe_faint
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
@@ -334,6 +335,12 @@ def of_rounded_stiffness(problem: ContactProblem, answer: Answer, bounds: Bounds
             f"the last digits of the entries of the stiffness may change the strain energy by {EPS * moved:.2g} "
             "of itself: the bounds are those of the matrix as it is, not of what it was assembled from"
         )
+
+
+def of_faint_levers(problem: ContactProblem, answer: Answer) -> tuple[str, ...]:
+    """Return a note where the answer moves unknowns that rows see by entries like the rounding of zero only."""
+    faint = describe_faint(problem, np.flatnonzero(answer.displacement))
+    return (f"the answer moves unknowns that neither stiffness nor rows seem to resist{faint}",) if faint else ()
 
 
 def of_estimates(bounds: Bounds) -> Iterator[str]:

@@ -34,7 +34,7 @@ from contactqp.linalg.measures import scale_through_rows
 from contactqp.linalg.nonnegative import given_rows
 from contactqp.model.arrays import Array, Vector
 from contactqp.model.coulomb import resisting_rows, sides_nearby
-from contactqp.model.names import describe_motion, describe_proof, listed
+from contactqp.model.names import describe_driven, describe_motion, describe_proof, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 
@@ -108,7 +108,7 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
     lifted = " (what slides by s counts as lifted by mu s)" if problem.frictional else ""
     if problem.near_null_space is None and (SparseRows(problem.stiffness_rows) @ extend(found.motion)).double().any():
         held += ", nor the stiffness by more than the rounding of its entries"
-    text = f"the load drives a rigid motion that {held}: {describe_motion(problem, found.motion)}{lifted}{advice}"
+    text = f"the load drives a rigid motion that {held}: {describe_driven(problem, found.motion)}{lifted}{advice}"
     raise NoEquilibrium(text, found)
 
 
@@ -406,7 +406,7 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
             largest = float(np.max(abs(moved)))
             found = DrivenMotion(moved / largest, work * scaling.force / largest, rounding * scaling.force / largest)
             text = "the load drives a motion that nothing resists, and the energy falls for ever"
-            raise NoEquilibrium(f"{text}: {describe_motion(problem, found.motion)}", found)
+            raise NoEquilibrium(f"{text}: {describe_driven(problem, found.motion)}", found)
 
 
 def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:

@@ -16,12 +16,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import Vector
+from contactqp.model.arrays import EPS, Indices, Vector
 from contactqp.model.problem_data import is_whole
 
 NAMES_IN_A_MESSAGE = 8
 # An unknown belongs to a motion if it moves by at least this part of the largest.
 TAKES_PART = 1e-9
+# Entries below this part of the largest of their rows may be the rounding of zero.
+FAINT = 8 * EPS
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
     **{axis: axis for axis in AXES},
@@ -79,10 +81,36 @@ def describe_motion(problem: Any, motion: Vector) -> str:
     return listed(named, len(order))
 
 
+def describe_driven(problem: Any, motion: Vector) -> str:
+    """Describe a motion that nothing resists, and what may be wrong with the rows at its unknowns."""
+    return f"{describe_motion(problem, motion)}{describe_faint(problem, np.flatnonzero(motion))}"
+
+
+def describe_faint(problem: Any, unknowns: Indices) -> str:
+    """Say in brackets which of the unknowns only rows resist, by entries that may be the rounding of zero; else "".
+
+    The normal force of a round body has such a lever about the middle. It is no rounding if the unknown has a unit that
+    makes its entries that small, so that it counts as it is stated.
+    """
+    loose = unknowns[problem.diagonal[unknowns] == 0]
+    across = [] if problem.tangent is None else [problem.tangent]
+    rows = abs(sp.csr_array(sp.vstack([problem.normal, problem.tie, *across])))
+    if not loose.size or not rows.nnz:
+        return ""
+    largest = rows.max(axis=1).toarray().ravel()
+    rows.data /= np.repeat(largest, np.diff(rows.indptr))
+    part = rows.max(axis=0).toarray().ravel()[loose]
+    faint = loose[(part > 0) & (part <= FAINT)]
+    if not faint.size:
+        return ""
+    named = listed([problem.dof_name(int(j)) for j in faint[:NAMES_IN_A_MESSAGE]], len(faint))
+    return f" (at {named} all rows have less than {FAINT:.0e} of their largest entry: state 0 where that is rounding)"
+
+
 def describe_proof(problem: Any, proof: Any) -> str:
     """Describe a proof that there is no equilibrium, by its motion or its weighted overlap."""
     if hasattr(proof, "motion"):
-        return describe_motion(problem, proof.motion)
+        return describe_driven(problem, proof.motion)
     unit = f" {problem.units.length}" if problem.units.length else ""
     return f"they overlap by {proof.excess:.3g}{unit}, rounding {proof.rounding:.1g}"
 

@@ -71,3 +71,17 @@ def test_levers_of_rotations_with_stiffness_stay_as_they_are() -> None:
     assert (held.normal[0, 2], held.tangent[0, 1]) == (1e-18, 1e-18)
     free = cq.ContactProblem(np.diag([1.0, 1.0, 0.0]), [0.0, -1.0, 0.0], **rows)
     assert (free.normal[0, 2], free.tangent[0, 1], free.tangent[0, 2]) == (0.0, 1e-18, RADIUS)
+
+
+def test_a_smooth_disc_is_told_that_its_lever_may_be_rounding() -> None:
+    """Without friction nothing tells the unit of the turn: the numbers count as they are, and the cure is stated."""
+    smooth = dict(normal=[[0.0, -1.0, 7e-19]], gap=[0.0], dof_names=["x", "y", "turn"])
+    stated = "at turn all rows have less than 2e-15 of their largest entry: state 0 where that is rounding"
+    with pytest.raises(cq.NoEquilibrium, match=f"turn by -1 .{stated}"):
+        cq.solve(cq.ContactProblem(np.zeros((3, 3)), [0.0, -1.0, 0.0], **smooth))
+    turned = cq.solve(cq.ContactProblem(np.diag([1.0, 1.0, 0.0]), [0.0, -1.0, 0.0], **smooth))
+    assert any(stated in note for note in turned.certificate.notes)
+    level = smooth | {"normal": [[0.0, -1.0, 0.0]]}
+    resting = cq.solve(cq.ContactProblem(np.diag([1.0, 1.0, 0.0]), [0.0, -1.0, 0.0], **level))
+    assert resting.normal_force == pytest.approx([1.0])
+    assert not any(stated in note for note in resting.certificate.notes)
