@@ -59,21 +59,26 @@ def read_quadratic_program(path: Path) -> tuple[ContactProblem, Ledger]:
         A .qps or .mps file without highspy, which reads them.
     """
     suffix = FilePath(path).suffix.lower()
-    if suffix in QPS:
-        return _read_qps(path)
-    return _read_matlab(path) if suffix in MATLAB else _read_archive(path)
+    read = _read_qps if suffix in QPS else _read_matlab if suffix in MATLAB else _read_archive
+    return read(path)
 
 
 def _read_archive(path: Path) -> tuple[ContactProblem, Ledger]:
     arrays = read_npz(path, none_for_objects=True)
     parts: dict[str, Any] = {name: arrays.get(name) for name in PARTS}
-    pairs = (("P", "q"), ("G", "h"), ("A", "b"))
-    pickled = [matrix for matrix, beside in pairs if parts[matrix] is None and parts[beside] is not None]
+    pickled = [matrix for matrix, beside in ("Pq", "Gh", "Ab") if parts[matrix] is None and parts[beside] is not None]
     if pickled:
         what = "pickled objects, as qpsolvers saves sparse matrices, of which nothing is read: save them by .toarray()"
         raise wrong(path, ", ".join(pickled), "arrays", what)
-    problem = ContactProblem.from_qp(**parts)
+    problem = _program(path, **parts)
     return problem, _ledger_of_program(path, problem, "qpsolvers", 0.0)
+
+
+def _program(path: Path, **parts: Any) -> ContactProblem:
+    try:
+        return ContactProblem.from_qp(**parts)
+    except InvalidProblem as error:
+        raise InvalidProblem(f"{path}: {_with_names(str(error), parts.get('dof_names'))}") from None
 
 
 def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
@@ -92,7 +97,7 @@ def _read_matlab(path: Path) -> tuple[ContactProblem, Ledger]:
         raise wrong(path, "A", f"the identity in its last {n} rows, for bounds", "other entries")
     lower, upper = np.where(lower <= -INFINITE, -np.inf, lower), np.where(upper >= INFINITE, np.inf, upper)
     sides = dict(lb=lower[count:], ub=upper[count:], C=A[:count], l=lower[:count], u=upper[:count])
-    problem = ContactProblem.from_qp(_real(path, "P", found["P"]), q, **sides)
+    problem = _program(path, P=_real(path, "P", found["P"]), q=q, **sides)
     constant = _vector(path, "r", found["r"]) if "r" in found else np.zeros(1)
     return problem, _ledger_of_program(path, problem, "qpbenchmark", float(constant[0]) if len(constant) else 0.0)
 
@@ -113,10 +118,7 @@ def _read_qps(path: Path) -> tuple[ContactProblem, Ledger]:
     for j in np.flatnonzero(parts["lb"] > parts["ub"])[:1].tolist():
         sides = f"{parts['lb'][j]:g} above {parts['ub'][j]:g} (without a lower bound it is 0)"
         raise wrong(path, f"bounds of {names[j] if names else j}", "a lower one at most the upper one", sides)
-    try:
-        problem = ContactProblem.from_qp(found["P"], found["q"], **parts)
-    except InvalidProblem as error:
-        raise InvalidProblem(f"{path}: {_with_names(str(error), names)}") from None
+    problem = _program(path, P=found["P"], q=found["q"], **parts)
     return problem, _ledger_of_program(path, problem, "QPS", float(found["offset"]))
 
 

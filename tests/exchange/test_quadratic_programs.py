@@ -410,3 +410,29 @@ def test_what_is_wrong_is_named_as_it_was_given(what: str) -> None:
     given, message = WRONG[what]
     with pytest.raises(cq.InvalidProblem, match=f"^{message}"):
         cq.ContactProblem.from_qp(**{**program, **given})
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        (dict(P=[[1.0, 2.0], [0.0, 1.0]], q=[1.0, 1.0]), "P: indefinite"),
+        (dict(P=np.eye(2), q=[1.0, 1.0, 1.0]), "q: expected 2 entries"),
+        (dict(P=np.eye(2), q=[1.0, np.nan]), "q: expected finite numbers"),
+        (dict(P=np.eye(2), q=[1.0, 1.0], G=[[1.0, 0.0]]), "h: expected beside G"),
+        (dict(P=np.eye(2), q=[1.0, 1.0], lb=[1.0, 1.0], ub=[0.0, 2.0]), "lb: expected at most ub"),
+    ],
+)
+def test_a_program_that_is_none_is_refused_with_its_file(tmp_path: Path, parts: dict, said: str) -> None:
+    """Of many files that are read one after the other, the message names the one that is wrong."""
+    path = tmp_path / "program.npz"
+    np.savez(path, **parts)
+    with pytest.raises(cq.InvalidProblem, match=f"^{re.escape(str(path))}: {said}"):
+        cq.read_problem(path)
+
+
+def test_a_program_of_qpbenchmark_that_is_none_is_refused_with_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "program.mat"
+    sides = dict(l=np.ones(2), u=-np.ones(2), r=0.0)
+    savemat(path, dict(P=np.eye(2), q=np.ones(2), A=np.eye(2), **sides))
+    with pytest.raises(cq.InvalidProblem, match=f"^{re.escape(str(path))}: lb: expected at most ub"):
+        cq.read_problem(path)
