@@ -23,6 +23,7 @@ class OfStiffness:
     factorised: bool = False  # linalg.iteration: whether a caller forces a factorisation
     iterable: bool | None = None  # linalg.iteration: whether a hierarchy represents all rigid motions
     supported: bool | None = None  # linalg.iteration: whether no body floats, by a hierarchy
+    of_program: bool = False  # model.quadratic_program: whether it was given as P
     convex: bool | None = None  # linalg.convexity: whether K was found to have no negative curvature
     convex_by_iteration: bool = False  # linalg.convexity: the same by a run of conjugate gradients
 

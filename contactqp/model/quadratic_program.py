@@ -13,7 +13,8 @@ the lower one. Contacts and ties are named by kind and number, or by the name of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -21,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.errors import InvalidProblem
+from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.names import read_names
 from contactqp.model.problem_data import read_array
@@ -156,12 +157,41 @@ def of_program(make: Callable[..., Problem], given: QuadraticProgram, **ranges: 
     Raises InvalidProblem; where the matrix is refused, by the name of P instead of that of a stiffness K.
     """
     try:
-        return make(**contact_data(given, **ranges))
+        problem: Any = make(**contact_data(given, **ranges))
     except InvalidProblem as refused:
-        if not (text := str(refused)).startswith("stiffness: "):
-            raise
+        refused.args = (_of_program(str(refused)),)
+        raise
+    if (computed := getattr(problem, "_computed", None)) is not None:
+        computed.of_stiffness.of_program = True
+    return problem  # type: ignore[no-any-return]
+
+
+@contextmanager
+def in_own_words() -> Iterator[None]:
+    """Let errors about a program name its P, as its user does, where those of a contact problem name a stiffness K."""
+    try:
+        yield
+    except ContactQPError as error:
+        if error.args and isinstance(error.args[0], str):
+            error.args = (_of_program(error.args[0]), *error.args[1:])
+        raise
+
+
+# What errors say of contact problems, and how they say it of programs.
+_WORDS = (
+    ("the load drives a rigid motion that no contact or tie holds back", "q falls along what no row or bound limits"),
+    ("; hold it by a support, a tie or a contact, or check the sign of the load", "; bound it, or check the sign of q"),
+    ("a regular stiffness", "a regular P"),
+    ("the stiffness", "P"),
+)
+
+
+def _of_program(text: str) -> str:
+    if text.startswith("stiffness: "):
         text = text.replace("stiffness: ", "P: ", 1).replace("K[", "P[").replace("z'Kz", "z'Pz")
-        raise InvalidProblem(text) from None
+    for of_contact, of_program in _WORDS:
+        text = text.replace(of_contact, of_program)
+    return text
 
 
 def _refuse_other_than_square(P: Any, n: int) -> None:

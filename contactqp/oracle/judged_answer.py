@@ -15,6 +15,7 @@ their right values, and causes, need a solution, which is computed at the first 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -32,6 +33,7 @@ from contactqp.model.arrays import Array, Indices, Vector, own_floating_point
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import read_array, refuse_not_positive
+from contactqp.model.quadratic_program import in_own_words
 from contactqp.model.solution import Answer, Certificate, Solution
 from contactqp.oracle.diagnosis.diagnosis import diagnose, paragraph
 from contactqp.oracle.diagnosis.evidence import Finding
@@ -219,11 +221,12 @@ def certify(
     refuse_not_positive("tolerance", tolerance)
     refuse_not_positive("error_tolerance", error_tolerance)
     tolerances = tolerance, error_tolerance
-    if (answer := _complete(problem, given)) is None:
-        found, completed = certify_given(problem, given, *tolerances, factorization)
-    else:
-        found = certificate_of(problem, answer, *tolerances, factorization, prove_friction=True)
-        completed = Recovery(answer, ())
+    with in_own_words() if problem._computed.of_stiffness.of_program else nullcontext():
+        if (answer := _complete(problem, given)) is None:
+            found, completed = certify_given(problem, given, *tolerances, factorization)
+        else:
+            found = certificate_of(problem, answer, *tolerances, factorization, prove_friction=True)
+            completed = Recovery(answer, ())
     judged = vars(found) | dict(notes=(*found.notes, *given.notes, *completed.notes))
     return JudgedAnswer(**judged, problem=problem, given=given, answer=completed.answer, recovered=completed.recovered)
 

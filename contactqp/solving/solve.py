@@ -54,6 +54,7 @@ from contactqp.model.arrays import (
 )
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
+from contactqp.model.quadratic_program import in_own_words
 from contactqp.model.solution import Candidate, Solution, Work
 from contactqp.solving.methods import (
     DEFAULT_METHOD,
@@ -210,7 +211,8 @@ def _solve_any(
         return solve_local(problem, method, warm_start=warm_start, **same)
     limit = same["time_limit"]
     refuse_arguments(same["tolerance"], condense, same["polish"], limit, same["max_iter"])
-    with nullcontext() if limit is None else call_within_time(limit):
+    words = in_own_words() if problem._computed.of_stiffness.of_program else nullcontext()
+    with nullcontext() if limit is None else call_within_time(limit), words:
         return _solve(problem, method, warm_start, engine, dict(same, condense=condense))
 
 
@@ -440,7 +442,7 @@ def _run(
 
 @dataclass(frozen=True)
 class RunRule:
-    """One rule of the table `RUN_RULES`: a condition and the run that it selects."""
+    """One rule of the table `RUN_RULES`, the first of which that applies is taken: a condition and the run for it."""
 
     applies: Callable[[Systems, ContactProblem, Method, bool | str], bool]  # condense
     run: Callable[[ContactProblem, Method, Settings, Systems, bool | str, str | None], Run]  # condense, algorithm
@@ -456,9 +458,8 @@ def _run_friction(
 
 
 def _has_rows_to_spare(_: Systems, problem: ContactProblem, method: Method, __: Any) -> bool:
-    if problem.frictional or problem.contacts + problem.ties <= problem.dimension:
-        return False
-    return method.kind in (ACTIVE_SET, QUADRATIC_PROGRAM) and presolved(problem) is not None
+    many = not problem.frictional and problem.contacts + problem.ties > problem.dimension
+    return many and method.kind in (ACTIVE_SET, QUADRATIC_PROGRAM) and presolved(problem) is not None
 
 
 def _run_presolved(problem: ContactProblem, method: Method, settings: Settings, _: Any, condense: Any, __: Any) -> Run:
@@ -474,7 +475,6 @@ def _stays_sparse(systems: Systems, _: ContactProblem, method: Method, condense:
     return (systems is Systems.SPARSE if condense == "auto" else everywhere) and has_sparse_systems(method)
 
 
-# The first that applies is taken.
 RUN_RULES = (
     # The method has its own systems of stick and slip, in all unknowns of the problem.
     RunRule(

@@ -436,3 +436,27 @@ def test_a_program_of_qpbenchmark_that_is_none_is_refused_with_its_file(tmp_path
     savemat(path, dict(P=np.eye(2), q=np.ones(2), A=np.eye(2), **sides))
     with pytest.raises(cq.InvalidProblem, match=f"^{re.escape(str(path))}: lb: expected at most ub"):
         cq.read_problem(path)
+
+
+def tridiagonal(n: int, diagonal: float) -> sp.csr_matrix:
+    ones = np.full(n - 1, -1.0)
+    return sp.diags([ones, np.full(n, diagonal), ones], [-1, 0, 1], format="csr")
+
+
+def test_what_is_found_while_solving_is_said_by_the_names_of_a_program() -> None:
+    """The user of P, q, G and h knows of no stiffness and no load; one who gave a stiffness reads of it as before."""
+    curved = tridiagonal(2000, 2.0 - 1e-5)  # its least eigenvalue is 4 sin^2(pi / 4002) - 1e-5 < 0
+    given = cq.ContactProblem.from_qp(curved, np.ones(2000), np.eye(1, 2000), [1.0])
+    for attempt in (lambda: cq.solve(given), lambda: cq.certify(given, np.zeros(2000), np.zeros(1))):
+        with pytest.raises(cq.InvalidProblem, match=r"^P: expected positive semidefinite"):
+            attempt()
+    with pytest.raises(cq.InvalidProblem, match=r"^P: expected positive semidefinite"):
+        cq.solve(given.replace(load=np.zeros(2000)))
+    with pytest.raises(cq.InvalidProblem, match=r"^stiffness: expected positive semidefinite"):
+        cq.solve(cq.ContactProblem(curved, np.ones(2000), np.eye(1, 2000), [1.0]))
+    falling = cq.ContactProblem.from_qp([[1.0, -1.0], [-1.0, 1.0]], [1.0, 1.0], [[1.0, 0.0]], [1.0])
+    with pytest.raises(cq.NoEquilibrium, match=r"^q falls along what no row or bound limits: .*check the sign of q$"):
+        cq.solve(falling)
+    sliding = falling.replace(load=[1.0, 1.0])
+    with pytest.raises(cq.Unsupported, match=r"\(P is singular\)"):
+        cq.solve(sliding, method="projected-gauss-seidel")
