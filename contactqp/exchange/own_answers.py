@@ -74,6 +74,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if of_program is not None:
         return of_program
     ledger, parts, named, tie_names = Ledger(str(path)), {}, set(), None
+    _refuse_other_units(path, data.get("units"), problem)
     printed = data.keys() >= PRINTED
     for key, values in data.items():
         part = part_called(key) if key != COMPONENTS else "friction_force"
@@ -107,6 +108,25 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     if printed:
         ledger.ignored.append("what contactqp run --json prints beside displacements and forces")
     return AnswerFile(parts, ledger, frozenset(named), tie_names)
+
+
+def _refuse_other_units(path: Path, stated: Any, problem: ContactProblem) -> None:
+    """Refuse an answer that states other units than the problem, as what `contactqp run --json` prints states them.
+
+    Raises InvalidProblem: a unit of length or force with another name, where the problem names its own.
+    """
+    if not isinstance(stated, dict):
+        return
+    for what, ours in (("length", problem.units.length), ("force", problem.units.force)):
+        theirs = stated.get(what)
+        if ours and isinstance(theirs, str) and theirs and _plain_unit(theirs) != _plain_unit(ours):
+            raise wrong(
+                path, f"units.{what}", f"{ours!r}, that of the problem", f"{theirs!r:.20}, and none is converted"
+            )
+
+
+def _plain_unit(name: str) -> str:
+    return name.replace("\u00b5", "u").replace("\u03bc", "u")
 
 
 def _along_axes(values: Any) -> bool:
@@ -310,7 +330,9 @@ def _refuse_table(path: Path) -> None:
         return
     lines = head.decode("utf-8-sig", "replace").splitlines()[:2]
     cells = [[cell.strip().strip('"') for cell in re.split("[,;\t]", line)] for line in lines]
-    if len(cells) == 2 and len(cells[0]) > 1 and not any(map(is_number, cells[0])) and not is_number(cells[1][0]):
+    if len(cells) < 2 or len(cells[0]) < 2 or any(map(is_number, cells[0])):
+        return
+    if not is_number(cells[1][0]) or any(cell.lower() in KEYS for cell in cells[0]):
         expected = "dof, node, contact or tie as the first column of a table with names"
         raise wrong(path, "first line", expected, f"{lines[0].strip()!r:.60}")
 

@@ -118,3 +118,28 @@ def test_a_file_of_a_folder_whose_name_says_another_part_is_refused(tmp_path: Pa
     (tmp_path / "contacts.csv").write_text("contact,normal_force\n0,8\n1,0\n")
     with pytest.raises(InvalidProblem, match=r"contacts.csv: expected a file called like what it holds"):
         answer_files.read_answer(tmp_path, _wall())
+
+
+def test_an_answer_that_states_other_units_is_refused_and_not_read_in_those_of_the_problem(tmp_path: Path) -> None:
+    problem = _wall().replace(units={"length": "um", "force": "kN"})
+    file = tmp_path / "theirs.json"
+    for length, force, refused in (
+        ("µm", "kN", None),
+        ("mm", "kN", "units.length: expected 'um'"),
+        ("um", "N", "units.force: expected 'kN'"),
+    ):
+        file.write_text(json.dumps({"displacement": U, "units": {"length": length, "force": force}}))
+        if refused is None:
+            assert list(answer_files.read_answer(file, problem).parts) == ["displacement"]
+        else:
+            with pytest.raises(InvalidProblem, match=refused):
+                answer_files.read_answer(file, problem)
+    assert list(answer_files.read_answer(file, _wall()).parts) == ["displacement"]  # the problem names none
+
+
+def test_a_table_whose_contacts_do_not_stand_first_is_told_what_does(tmp_path: Path) -> None:
+    """As `contactqp run --csv` writes it, instant by instant."""
+    table = tmp_path / "theirs.csv"
+    table.write_text("instant,time [legs],contact,normal_force [N]\n0,1.0,tip,4\n")
+    with pytest.raises(InvalidProblem, match="first line: expected dof, node, contact or tie as the first column"):
+        answer_files.read_answer(table, _wall())
