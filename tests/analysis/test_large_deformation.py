@@ -177,6 +177,8 @@ def test_a_node_on_top_of_a_ball_needs_its_indefinite_tangent(curved):
     else:  # 2 E A / L = 2 is less than 2.5 / R: the top is no minimum
         assert not history.stable[-1]
         assert "unstable" in history.notes[0]
+        assert not history.snaps
+        assert len(history.notes) == 1
 
 
 @pytest.mark.slow
@@ -278,27 +280,6 @@ def test_the_bar_is_compressed_on_the_way_and_its_tangent_indefinite():
 def test_with_large_sliding_steps_change_nothing():
     coarse, fine = dragged(steps=5)[0], dragged(steps=10)[0]
     np.testing.assert_allclose(coarse[-1].displacement, fine[-1].displacement, atol=1e-10)
-
-
-def test_a_chain_at_rest_on_a_rough_cylinder_is_where_it_is_and_slides_by_the_capstan_equation():
-    """Its nodes overlap by rounding of their places, which must not set it in motion. Where it slides, a node turns two
-    links by t, and its force grows by (1 + mu tan(t/2)) / (1 - mu tan(t/2)) from node to node.
-    """
-    n, mu = 16, 0.3
-    angles = np.pi - np.pi * np.arange(n + 1) / n
-    nodes = np.nextafter(np.column_stack([np.cos(angles), np.sin(angles)]), 0)
-    chain = cq.NonlinearTruss(nodes, [[i, i + 1] for i in range(n)], modulus=1e6, area=1.0)
-    cylinder = cq.ObstacleContact(nodes, cq.Circle([0.0, 0.0], 1.0))
-    pulled = np.zeros(2 * n + 2)
-    pulled[[1, -1]] = -1.0
-    further = pulled.copy()
-    further[-1] = -2.3
-    history = cq.large_deformation(chain, [pulled, further], cylinder, steps=1, friction=mu)
-    assert not history[0].displacement.any()
-    sliding = history[-1].normal_force[6:-1]
-    assert history[-1].contact_status[6:].tolist() == ["slip"] * (n - 5)
-    half = mu * np.tan(np.pi / (2 * n))
-    np.testing.assert_allclose(sliding[1:] / sliding[:-1], (1 + half) / (1 - half), rtol=1e-4)
 
 
 @pytest.mark.slow

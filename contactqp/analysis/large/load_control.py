@@ -33,6 +33,8 @@ HALVINGS = 20
 LOCATED = 1e-3
 # The least part of a step's displacement that remains for a vanishing step if the path jumps.
 JUMP = 0.3
+# Displacements that differ by less than this part of them have not jumped.
+UNMOVED = 1e-9
 # Stiffnesses below this part of the largest are zero.
 NO_STIFFNESS = 1e-10
 # Points between the ends of a step examined for an energy barrier, which Newton's method may have crossed.
@@ -193,6 +195,9 @@ class LoadControl:
         start, end = before.displacement, balance.now.displacement
         forces = forces_of(before)
         whole = float(np.linalg.norm(end - start))
+        nothing = float(np.max(balance.now.contact.rounding, initial=0.0)) * len(end)
+        if whole <= max(UNMOVED * float(np.linalg.norm(end)), nothing):  # it stays although unstable, as on a ball
+            return None
         for _ in range(HALVINGS):
             middle = (low + high) / 2
             try:
