@@ -96,7 +96,7 @@ def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
         return
     refuse_sparse_conflict(problem)
     advice, size = "", float(problem.load_size @ abs(found.motion))
-    if found.work <= MEANT_TO_BALANCE * size:
+    if found.work <= MEANT_TO_BALANCE * size and not problem.frictional:
         advice = (
             f"; {BUT_FOR} {found.work:.3g} ({found.work / size:.2g} of their size): if they "
             "were meant to balance, project them, load - Z (Z'Z)^-1 Z' load with the rigid motions Z in columns"
