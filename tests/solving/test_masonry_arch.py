@@ -1,0 +1,42 @@
+"""The least thickness of a masonry arch: rigid voussoirs, joints that neither pull nor slide (a linear program)."""
+
+import numpy as np
+import pytest
+
+import contactqp as cq
+
+
+def arch(thickness: float, voussoirs: int = 10, radius: float = 1.0, weight: float = 1.0) -> cq.ContactProblem:
+    """A semicircle under its weight, thickness / radius of the middle line; contacts at both ends of every joint."""
+    joints = np.linspace(0, np.pi, voussoirs + 1)
+    inside, outside = radius * (1 - thickness / 2), radius * (1 + thickness / 2)
+    half = np.pi / voussoirs / 2
+    middle = 2 / 3 * np.sin(half) / half * (outside**3 - inside**3) / (outside**2 - inside**2)
+    centre = middle * np.column_stack([np.cos(joints[:-1] + half), np.sin(joints[:-1] + half)])
+    load = np.zeros(3 * voussoirs)
+    load[1::3] = -weight / voussoirs
+    normal, tie = [], []
+    for k, angle in enumerate(joints):
+        along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        for end in (inside, outside):
+            rows = np.zeros((2, 3 * voussoirs))
+            for body, sign in ((k - 1, 1.0), (k, -1.0)):
+                if 0 <= body < voussoirs:
+                    arm = end * along - centre[body]
+                    for row, n in zip(rows, (across, along), strict=True):
+                        row[3 * body : 3 * body + 3] = sign * np.array([*n, arm[0] * n[1] - arm[1] * n[0]])
+            normal.append(rows[0])
+        tie.append(rows[1])
+    ties = dict(tie=tie, tie_value=np.zeros(len(tie)))
+    return cq.ContactProblem(np.zeros((3 * voussoirs, 3 * voussoirs)), load, normal, np.zeros(len(normal)), **ties)
+
+
+@pytest.mark.parametrize(("radius", "weight"), [(1.0, 1.0), (5000.0, 2e5)])
+def test_the_least_thickness_of_a_semicircular_arch_is_milankovitchs(radius: float, weight: float) -> None:
+    """0.1075 of the radius (M. Milankovitch 1907; J. Ochsendorf 2006); with ten voussoirs 0.10746."""
+    thick = cq.solve(arch(0.1076, radius=radius, weight=weight))
+    assert thick.certificate.passed
+    springing = thick.normal_force[:2].sum()
+    assert springing == pytest.approx(weight / 2, rel=1e-9)
+    with pytest.raises(cq.NoEquilibrium):
+        cq.solve(arch(0.1073, radius=radius, weight=weight))
