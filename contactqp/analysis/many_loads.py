@@ -396,8 +396,8 @@ class _Host:
     def solution(self, values: Sequence[Array]) -> Solution:
         """Return the certified answer for these values of the parameters; the last one is cached."""
         key = tuple(value.tobytes() for value in values)
-        if self._last is not None and self._last[0] == key:
-            return self._last[1]
+        if (last := self._last) is not None and last[0] == key:
+            return last[1]
         changes: dict[str, Any] = {}
         for name, given in zip(self.varied, values, strict=True):
             changes[name] = given
@@ -425,14 +425,15 @@ class _Host:
 
     def gradients(self, weights: Any, *values: Any) -> tuple[Array, ...]:
         """Return the gradient of weights . quantity by each argument, case by case."""
-        batch, cases = self._cases(values)
+        of_values, cases = self._cases(values)
         given = np.asarray(weights, dtype=float)
-        batch = np.broadcast_shapes(batch, given.shape[: given.ndim - len(self.shape)])
+        batch = np.broadcast_shapes(of_values, given.shape[: given.ndim - len(self.shape)])
         given = np.broadcast_to(given, batch + self.shape).reshape(-1, *self.shape)
+        case = np.broadcast_to(np.arange(len(cases[0])).reshape(of_values), batch).ravel()
         rows, found = self.problem.stiffness_rows, [np.empty((len(given), *one.shape[1:])) for one in cases]
         places = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)), rows.indices
-        for i, weight in enumerate(given):
-            solution = self.solution([one[i % len(one)] for one in cases])
+        for i in np.argsort(case, kind="stable"):  # the weights of one case after the other: its solution is cached
+            weight, solution = given[i], self.solution([one[case[i]] for one in cases])
             for name, gradient in zip(self.varied, found, strict=True):
                 own = pullback(solution, self.of, weight, name)
                 gradient[i] = np.reshape(sp.csr_array(own)[places] if name == "stiffness" else own, gradient[i].shape)

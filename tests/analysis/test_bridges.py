@@ -101,6 +101,24 @@ def test_batches_are_solved_as_many_load_cases_and_a_gradient_needs_no_second_so
         _Host(free, "normal_force", ("load",)).value([[1.0, 1.0], [-1.0, -1.0]])
 
 
+def test_gradients_of_a_batch_are_those_of_each_case_however_it_is_nested() -> None:
+    """As `vmap` of `jacrev` asks for them: several weights, the last dimension, for each of several cases."""
+    problem = problems()[1][0]
+    host, weights = _Host(problem, "normal_force", ("load", "gap")), np.eye(problem.contacts)
+    loads = np.array([1.0, -1.0])[:, None] * problem.load
+    cases = [[cq.solve(problem.replace(load=load, gap=k * problem.gap)) for load in loads] for k in (1.0, 2.0, 0.5)]
+    one, two = [solution.jacobian("normal_force", "load") for solution in cases[0]]
+    assert not np.allclose(one, two)
+    gaps = np.array([1.0, 2.0, 0.5])[:, None, None, None] * problem.gap
+    for given, shape in ((loads[:, None], (1, *loads.shape)), (loads[:1, None], (1, 1, loads.shape[1]))):
+        by_load, by_gap = host.gradients(weights[None, None], given[None], gaps)
+        assert by_load.shape[:3] == (3, shape[1], problem.contacts)
+        for k, row in enumerate(cases):
+            for place, solution in enumerate(row[: shape[1]]):
+                assert by_load[k, place] == pytest.approx(solution.jacobian("normal_force", "load"), abs=1e-12)
+                assert by_gap[k, place] == pytest.approx(solution.jacobian("normal_force", "gap"), abs=1e-12)
+
+
 def test_what_is_not_installed_or_no_argument_is_one_line() -> None:
     problem = problems()[0][0]
     for framework, there in (("jax", HAS_JAX), ("torch", HAS_TORCH)):
