@@ -395,7 +395,10 @@ def _near(
             if tried >= len(every):
                 break
             some = f"the {tried} nearest of {len(every)} combinations"
-            return [], f"; {some} fail as well; a longer time_limit tries more"
+            more = "a longer time_limit tries more" if deadline.passed else "a larger max_iter tries more"
+            if most is None and not deadline.passed:
+                more = "their budget of operations is spent, and a time_limit [s] takes its place and tries more"
+            return [], f"; {some} fail as well; {more}"
         answer = contacts.answer_nearby(combination, start)
         if holds(problem, answer):
             return [answer], ""
