@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.certificate.uniqueness import UNKNOWN
+from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.existence import doubtful_drive
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.measures import inner_forces
 from contactqp.model.arrays import EPS, Array, Indices, Vector
-from contactqp.model.names import describe_faint
+from contactqp.model.names import describe_faint, listed
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, FIGURES_ALONE, Answer, Certificate, Violations
 
@@ -229,6 +232,42 @@ def of_hidden_gap(problem: ContactProblem, contact: int, floor: float) -> str:
         f"the gap of {problem.contact_name(contact)}, {abs(problem.gap[contact]):.3g}, is not told from zero: lengths "
         f"up to {floor:.3g} count as nothing beside loads and other gaps: the stiffness there is very small; contacts "
         "may be exchanged within them; springs that are stiffer, or none at all, tell them apart"
+    )
+
+
+# Unit rows nearer to dependence than this leave few digits of their forces; the most entries that are examined, and the
+# weight beside the largest from which on a row is named.
+NEAR, MOST_EXAMINED, NAMED = 1e-9, 1_000_000, 1e-2
+
+
+def none_is_certified(problem: ContactProblem, found: Any) -> str:
+    """Return that no answer is certified, what in the problem may be the reason, and what to change.
+
+    `found` is the solution that was refused, if there is one.
+    """
+    answer = getattr(found, "answer", None)
+    near = "" if answer is None else of_nearly_dependent_rows(problem, answer)
+    return f"no answer is certified{doubtful_drive(problem)}{near}"
+
+
+def of_nearly_dependent_rows(problem: ContactProblem, answer: Answer) -> str:
+    """Return which ties and closed contacts nearly depend on each other, and what to do; nothing where none do."""
+    closed = np.flatnonzero(answer.normal_force > 0)
+    rows = sp.csr_matrix(sp.vstack([problem.tie, problem.normal[closed]]) @ sp.diags(unknown_scale(problem)))
+    touched = np.unique(rows.indices)
+    if not 1 < rows.shape[0] <= len(touched) or rows.shape[0] * len(touched) > MOST_EXAMINED:
+        return ""
+    unit = rows[:, touched].toarray()
+    unit = unit / np.linalg.norm(unit, axis=1)[:, None]
+    weights, values, _ = np.linalg.svd(unit, full_matrices=False)
+    if not np.all(np.isfinite(values)) or values[-1] > NEAR:
+        return ""
+    names = [problem.tie_name(i) for i in range(problem.ties)] + [problem.contact_name(int(i)) for i in closed]
+    weight = abs(weights[:, -1])
+    named = listed([names[i] for i in np.flatnonzero(weight > NAMED * weight.max())])
+    return (
+        f"; the rows of {named} depend on each other but for {values[-1]:.2g} of their lengths, which leaves their "
+        "forces no digits: leave one of them out, or state them further apart"
     )
 
 

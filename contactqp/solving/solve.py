@@ -17,6 +17,7 @@ import numpy as np
 
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
+from contactqp.certificate.messages import none_is_certified
 from contactqp.certificate.number_range import NearOne, near_one
 from contactqp.errors import (
     BackendFailed,
@@ -30,7 +31,6 @@ from contactqp.errors import (
     refuse_other,
     shown,
 )
-from contactqp.linalg.existence import doubtful_drive
 from contactqp.linalg.iteration import (
     Systems,
     condense_anyway,
@@ -328,7 +328,7 @@ def _by_another_route(problem: ContactProblem, error: NotCertified | NotConverge
         work = replace(found.work.after(spent), routes=(*tried, f"{route}: its answer is certified"))
         name = found.method if problem.frictional else DEFAULT_METHOD
         return replace(found, method=name, seconds=seconds + found.seconds, work=work)
-    error.args = (f"{error}; {', '.join(names)} were tried too, and no answer is certified{doubtful_drive(problem)}",)
+    error.args = (f"{error}; {', '.join(names)} were tried too, and {none_is_certified(problem, first)}",)
     raise error
 
 

@@ -384,3 +384,14 @@ def test_contacts_that_touch_exactly_are_proven_though_they_depend_on_each_other
     node = cq.ContactProblem([[1.0]], [2.0], [[1.0], [-4.0]], [0.7, -4 * 0.7])
     assert cq.exact(node).gap.tolist() == [0, 0]
     assert cq.solve(node).certificate.proven
+
+
+@pytest.mark.parametrize("turned", [1e-11, 1e-12])
+def test_ties_that_nearly_depend_on_each_other_are_named_where_nothing_is_certified(turned: float) -> None:
+    """Their forces are 1 / turned, of which doubles leave no digits: the message says which rows to change."""
+    rows = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, turned, 0.0]]
+    names = ["left", "apart", "right"]
+    ties = dict(tie=rows, tie_value=[0.5, 0.0, 0.5 + 1e-7], tie_names=names)
+    problem = cq.ContactProblem(np.diag([2.0, 3.0, 1.0]), [3.0, 1.0, 0.0], np.zeros((0, 3)), [], **ties)
+    with pytest.raises(cq.NotCertified, match=r"the rows of left, right depend on each other but for .* leave one of"):
+        cq.solve(problem)
