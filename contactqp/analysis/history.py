@@ -466,7 +466,8 @@ def _rates_on(direction: ContactProblem, condensation: Condensation, closed: Ind
     """Return the rates on closed contacts, None where the load drives a body that these do not hold."""
     rates = answer_on(direction, condensation, closed)
     load, inner = condensation.reduce_load(direction.load)
-    return None if np.any(rates.saddle.drive(load, condensation.reduced_size(direction, inner))) else rates
+    carried = condensation.normal.T @ rates.doubles.normal_force + condensation.tie.T @ rates.doubles.tie_force
+    return None if rates.saddle.drive(load - carried, condensation.reduced_size(direction, inner)).any() else rates
 
 
 def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, Indices]:

@@ -21,7 +21,7 @@ from contactqp.analysis.history import (
 )
 from contactqp.certificate.idle_rows import ActingRows, acting_rows
 from contactqp.certificate.number_range import refuse_far_from_one
-from contactqp.errors import ContactQPError, InvalidProblem, Unsupported, shown
+from contactqp.errors import ContactQPError, InvalidProblem, NoEquilibrium, Unsupported, shown
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.arguments import checked
@@ -184,7 +184,10 @@ def _follow_leg(
         fractions |= {e.time for e in exact if e.time > 0}
     for fraction in sorted(fractions):
         refuse_late(f"the step to t = {leg + fraction:.6g}")
-        solutions.go_to(fraction)
+        try:
+            solutions.go_to(fraction)
+        except NoEquilibrium as error:
+            raise NoEquilibrium(f"follow_path: at t = {leg + fraction:.6g}: {error}", error.proof) from error
         times.append(leg + fraction)
 
 

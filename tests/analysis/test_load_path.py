@@ -120,6 +120,10 @@ def test_a_free_body_at_rest_is_held_by_what_it_rests_on() -> None:
     pressed = cq.ContactProblem(np.zeros((2, 2)), [-1.0, 0.1], [[-1.0, 1.0], [-1.0, -1.0]], [0.0, 0.0])
     rigid = cq.follow_path(pressed, loads=[[-1.0, 0.1]], events="exact")
     assert rigid[-1].normal_force == pytest.approx([0.55, 0.45], rel=1e-14)
+    legs = [[-1.0, -y, x] for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    table = cq.ContactProblem(np.zeros((3, 3)), np.zeros(3), legs, np.zeros(4))
+    stood = cq.follow_path(table, loads=[[-100.0, 0.0, 0.0]], events="exact")
+    assert stood[-1].normal_force.sum() == pytest.approx(100.0)
     with pytest.raises(cq.Unsupported, match="sets a loose body going"):  # it tips
         cq.follow_path(pressed, loads=[[-1.0, 0.1], [-1.0, 1.1]], events="exact")
 
@@ -218,3 +222,12 @@ def test_a_small_gap_beside_a_large_force_closes_at_its_time_in_any_units(length
     events = cq.follow_path(springs, [force * np.array([1e6, 100.0])], events="exact").events
     assert [(event.kind, event.contact) for event in events] == [("closed", 0), ("closed", 1)]
     assert [event.time for event in events] == pytest.approx([0.0, 0.5], rel=1e-12)
+
+
+def test_a_load_that_tips_a_body_is_told_with_its_time() -> None:
+    """A seesaw with its load beyond one support: the other lifts off at 10/11 of the second leg, in the last step."""
+    seesaw = cq.ContactProblem(np.zeros((2, 2)), [-1.0, 0.0], [[-1.0, 1.0], [-1.0, -1.0]], [0.0, 0.0])
+    with pytest.raises(cq.NoEquilibrium, match=r"^follow_path: at t = 2: the load drives") as ended:
+        cq.follow_path(seesaw, loads=[[-1.0, 0.0], [-1.0, 1.1]], steps=10)
+    assert ended.value.history.times[-1] == pytest.approx(1.9)
+    assert ended.value.history.normal_forces[-1] == pytest.approx([0.995, 0.005])
