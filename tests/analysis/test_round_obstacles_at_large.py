@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import contactqp as cq
 
@@ -38,3 +39,23 @@ def test_a_node_that_lands_on_top_of_a_ball_and_stays_there_unstable_does_not_sn
     assert history.stable.tolist() == [True, True, False, False, False, False]
     assert not history.snaps
     assert history.notes == ("from load factor 0.4 the equilibrium is unstable: 1 motion(s) lower the energy",)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_coefficients_of_zero_are_no_friction_on_the_way_and_leave_zero_forces(dimension: int) -> None:
+    """A node that slips off a ball: its tangent is indefinite, which friction would not stand in space."""
+    fixed = np.zeros((5, dimension))
+    fixed[:, :2] = [[0, 1], [-2, 1], [2, 1], [0, 3], [0, 1]]
+    fixed[4, -1] += 2 if dimension == 3 else -2
+    post = cq.NonlinearTruss(fixed, [[0, i] for i in range(1, 5)], 2.0, 1.0, law="engineering")
+    body = cq.Supported(post, held=list(range(dimension, 5 * dimension)))
+    ball = (cq.Circle if dimension == 2 else cq.Sphere)([0.01, 0.4, 0.02][:dimension], 0.3)
+    geometry, load = cq.ObstacleContact(fixed[:1], ball), np.zeros(dimension)
+    load[1] = -6.0
+    smooth = cq.large_deformation(body, [load], geometry, steps=3)
+    zero = cq.large_deformation(body, [load], geometry, steps=3, friction=0.0)
+    np.testing.assert_array_equal(zero.displacements, smooth.displacements)
+    assert zero.notes == smooth.notes
+    assert zero[-1].friction_force.tolist() == [[0.0] * (dimension - 1)]
+    assert zero[-1].slip.shape == (1, dimension - 1)
+    assert zero[-1].certificate.passed

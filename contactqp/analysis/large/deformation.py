@@ -96,6 +96,11 @@ class LoadedBody:
         """Return the number of contacts m."""
         return 0 if self.contact is None else self.contact.contacts
 
+    @property
+    def rubs(self) -> bool:
+        """Return whether any contact has a positive coefficient of friction."""
+        return self.friction is not None and bool(np.any(self.friction > 0))
+
     @cached_property
     def unknown_names(self) -> tuple[str, ...] | None:
         """Return the names of the unknowns, if the body has them."""

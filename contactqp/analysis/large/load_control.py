@@ -104,11 +104,12 @@ class LoadControl:
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
         """Return the equilibrium from which the steps start, near a displacement."""
         target = self.program.at(t)
+        anchored = target
         if self.loaded.friction is not None and self.loaded.contact is not None:
-            anchor = self.loaded.contact.positions(displacement)
-            target = replace(target, anchor=anchor)
-        balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), target, self.settings)
-        return large_solution(self.loaded, balance, target, t, self.settings)
+            anchored = replace(target, anchor=self.loaded.contact.positions(displacement))
+        chosen = anchored if self.loaded.rubs else target
+        balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), chosen, self.settings)
+        return large_solution(self.loaded, balance, anchored, t, self.settings)
 
     def _to(
         self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap], halvings: int = MOST_HALVINGS
@@ -128,7 +129,7 @@ class LoadControl:
 
     def _next(self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap]) -> LargeSolution:
         target = self.program.at(t)
-        if self.loaded.friction is not None and before.position is not None:
+        if self.loaded.rubs and before.position is not None:
             touching = (before.normal_force > 0) | (before.gap <= 0)
             balance, anchor = balance_with_anchors(
                 self.loaded,
@@ -146,7 +147,9 @@ class LoadControl:
             target = replace(target, anchor=anchor)
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
-        if self.loaded.friction is None and (balance.shifted or self._crosses_barrier(before, balance)):
+            if self.loaded.friction is not None:
+                target = replace(target, anchor=before.position)
+        if not self.loaded.rubs and (balance.shifted or self._crosses_barrier(before, balance)):
             snap = None if self._is_slack(before) else self._jump(before, balance, t)
             if snap is not None:
                 snaps.append(snap)
@@ -240,7 +243,11 @@ def large_solution(
     now, step, forces = balance.now, balance.step, balance.forces
     problem = in_displacement(step.problem, balance.before.displacement)
     started = time.perf_counter()
-    friction = forces.friction
+    friction, slip = forces.friction, slipped(loaded, now, target)
+    if slip is not None and problem.slip_origin is None:  # coefficients of zero, without which it was found
+        rows = now.contact.tangent
+        origin = np.asarray(rows @ now.displacement).reshape(slip.shape) - slip
+        problem = problem.replace(tangent=rows, friction=loaded.friction, slip_origin=origin)
     if friction is None and problem.slip_origin is not None:
         friction = np.zeros_like(problem.slip_origin)
     answer = Answer(now.displacement, forces.normal, friction, forces.tie)
@@ -275,7 +282,7 @@ def large_solution(
         tie_value=target.tie_value,
         increment=step.increment,
         current_gap=now.contact.gap,
-        current_slip=slipped(loaded, now, target),
+        current_slip=slip,
         position=None if loaded.contact is None else loaded.contact.positions(now.displacement),
         elastic=loaded.body.energy(now.displacement),
         negative=negative_motions(loaded, balance),
