@@ -21,7 +21,7 @@ from contactqp.analysis.large.newton_step import NewtonSettings, Target, in_disp
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.elements.deformable import ContactGeometry, LinearisedContacts
-from contactqp.errors import NotCertified, NotConverged
+from contactqp.errors import NotCertified, NotConverged, Unsupported
 from contactqp.model.arrays import TINY, Array, Vector
 from contactqp.model.solution import Answer, Work
 
@@ -99,6 +99,8 @@ class LoadControl:
             raise NotConverged(f"large_deformation: at load factor {t:.6g}: {error}", so_far, last) from error
         except NotCertified as error:
             raise NotCertified(f"large_deformation: at load factor {t:.6g}: {error}", error.solution) from error
+        except Unsupported as error:
+            raise Unsupported(f"large_deformation: at load factor {t:.6g}: {error}") from error
         return LargeHistory(solutions, notes, snaps=snaps)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
