@@ -310,7 +310,7 @@ def _within(found: Derivative, rows: ActingRows, given: Direction) -> Derivative
     if found.reach is not None:
         found = replace(found, reach=(min(found.reach[0], steps[0]), min(found.reach[1], steps[1])))
     left, right = (None if step == 0 else one for step, one in zip(steps, (found.left, found.right), strict=True))
-    if min(steps) > 0:
+    if min(steps) > 0 or (found.left is None and found.right is None):
         return found
     reason = f"towards {'minus' if steps[0] == 0 else 'plus'} the direction: {rows.without_answer('gap')}"
     return replace(found, value=None, left=left, right=right, exists=False, reason=reason)

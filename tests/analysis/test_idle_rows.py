@@ -192,6 +192,13 @@ def test_a_side_without_an_answer_leaves_the_other_its_rate(
         assert found.reason.startswith(f"towards {sides[missing]} the direction: ")
 
 
+def test_a_body_that_moves_freely_is_named_before_a_row_of_zeros() -> None:
+    free = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [1.0, -1.0], [[0.0, 0.0], [0.0, 1.0]], [0.0, 3.0])
+    found = cq.solve(free).derivative("displacement", "gap", [1.0, 0.0])
+    assert (found.value, found.left, found.right) == (None, None, None)
+    assert found.reason.startswith("bodies are free to move")
+
+
 def test_friction_on_supports_has_the_rates_of_the_law() -> None:
     """With a slip of 1/2 there friction is a quarter of a force that begins; without slip it may be anything."""
     foot = cq.ContactProblem(np.diag([4.0, 2.0]), [2.0, 0.0], [[0.0, -1.0]], [0.0], [[0.0, 0.0]], 0.25, [-0.5])
