@@ -84,7 +84,8 @@ def large_deformation(
     friction : float or (m,) array, optional
         Coulomb's coefficient. The slip of a step is counted from where the contact was at the step before, or from
         where it lands within the step, along the tangents of now: exact on planes, of the chord on curved obstacles,
-        where convergence is then linear.
+        where convergence is then linear. Of several that land within one step each is taken to land as if the others
+        did not: take steps so short that they land one by one.
     start : (n,) array or LargeSolution, optional
         A displacement to start from, at no load, or an equilibrium of an earlier history with this program, from whose
         load factor the steps that are left go on.
