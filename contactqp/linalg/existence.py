@@ -33,7 +33,7 @@ from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import scale_through_rows
 from contactqp.linalg.nonnegative import given_rows
 from contactqp.model.arrays import Array, Vector
-from contactqp.model.coulomb import resisting_rows, sides_nearby
+from contactqp.model.coulomb import resisting_rows, sides_from, sides_nearby
 from contactqp.model.names import describe_driven, describe_motion, describe_proof, listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
@@ -43,18 +43,15 @@ LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance
 # Coordinates and gains above this part of the largest are not artefacts of that tolerance, and the excess after a
 # linear program, relative to that before, below which it counts as removed.
 DRIVEN, REMAINING = 1e-7, 1e-7
-# The number of programs, each starting from the last, that reach the rounding of doubles.
-PROGRAMS = 4
-# The number of polygons in place of the circle of slips, each near the slips that the last one allowed.
-POLYGONS = 6
+PROGRAMS = 4  # each starting from the last, that reach the rounding of doubles
+# Polygons in place of the circle of slips, each near those that the last allowed, and the part of work that they tell.
+POLYGONS, HARDLY_DRIVEN = 6, 1e-10
 # Constraints with slacks beyond this multiple of the excess are left out of the program.
 FAR = 1e7
-# Projections of a motion onto the null space of rows; the second removes rounding of the first.
-PROJECTIONS = 2
+PROJECTIONS = 2  # of a motion onto the null space of rows; the second removes rounding of the first
 # Multipliers or displacements below this part of the largest are left out of a conflict or motion.
 NO_PART = 1e-9
-# A conflict is claimed for displacements within this multiple of the imposed lengths.
-SOUGHT = 1e3
+SOUGHT = 1e3  # a conflict is claimed for displacements within this multiple of the imposed lengths
 # For conflicts of more constraints the weights are not solved for in rational numbers, but rounded from a linear
 # program to ratios of integers up to LARGEST_DENOMINATOR.
 MOST_EXACT, LARGEST_DENOMINATOR = 60, 10_000
@@ -165,17 +162,16 @@ def unresisted_in_cones(
     unit : gives unit rows of coordinates
     slips : those (m, 2) along coordinates; None in the plane and without friction, where polygons are exact
     """
-    sides = None
-    for _ in range(POLYGONS):
-        resisting = rows_at(sides, True)
-        coordinates = unresisted(drive, unit(resisting), tie)
-        if coordinates is not None or slips is None:
+    resisting, sides = rows_at(None, True), None
+    coordinates = unresisted(drive, unit(resisting), tie)
+    for polygon in range(POLYGONS if slips is not None and coordinates is None else 0):
+        outer = _unresisted(drive, unit(rows_at(sides, False)), tie, HARDLY_DRIVEN)
+        if outer is None or slips is None:
             break
-        sides = sides_nearby(slips(np.zeros(len(drive)))) if sides is None else sides
-        outer = unresisted(drive, unit(rows_at(sides, False)), tie)
-        if outer is None:
+        resisting = rows_at(sides_from(slips(outer)), True)
+        if (coordinates := _unresisted(drive, unit(resisting), tie, HARDLY_DRIVEN)) is not None:
             break
-        sides = sides_nearby(slips(outer))
+        sides = sides_nearby(slips(outer), 2 * polygon // POLYGONS)
     return coordinates, resisting
 
 
@@ -192,11 +188,15 @@ def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
 
 def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
     """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, for unit rows in floats, else None."""
+    return _unresisted(drive, normal, tie, DRIVEN)
+
+
+def _unresisted(drive: Vector, normal: Array, tie: Array, least: float) -> Array | None:
     coordinates = _steepest(drive, normal, tie)
     if coordinates is None:
         return None
     coordinates = _without_artefacts(coordinates, normal, tie)
-    return coordinates if drive @ coordinates > DRIVEN * (abs(drive) @ abs(coordinates)) else None
+    return coordinates if drive @ coordinates > least * (abs(drive) @ abs(coordinates)) else None
 
 
 def _uncertainty(problem: ContactProblem, rigid: RigidMotions) -> float:

@@ -126,9 +126,17 @@ def corners(contacts: int, width: int, sides: Array | None = None, within: bool 
     return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) / np.cos(half)[..., None])
 
 
-def sides_nearby(slip: Array) -> Array:
-    """Return angles (m, k) of the sides of polygons about the circle that are near to it in the direction of slips."""
-    ahead = np.pi / SIDES * 2.0 ** -np.arange(SIDES_NEARBY)
+def sides_from(slip: Array) -> Array:
+    """Return equally spaced angles (m, SIDES) of the sides of polygons, the first in the direction of slips (m, 2)."""
+    return np.asarray(np.arctan2(slip[:, 1], slip[:, 0])[:, None] + 2 * np.pi * np.arange(SIDES) / SIDES)
+
+
+def sides_nearby(slip: Array, finer: int = 0) -> Array:
+    """Return angles (m, k) of the sides of polygons about the circle that are near to it in the direction of slips.
+
+    With `finer` they begin where those that are less fine by one end.
+    """
+    ahead = np.pi / SIDES * 2.0 ** -(np.arange(SIDES_NEARBY) + (SIDES_NEARBY - 1.0) * finer)
     apart = np.sort(np.concatenate([2 * np.pi * np.arange(SIDES) / SIDES, ahead, 2 * np.pi - ahead]))
     return np.asarray(np.arctan2(slip[:, 1], slip[:, 0])[:, None] + apart)
 

@@ -55,3 +55,30 @@ def test_the_last_step_is_all_that_is_wrong() -> None:
         velocities, _, _ = slide(time_step, int(steps) + 2)
         moved = time_step * (velocities[:-1, 0] + velocities[1:, 0]).sum() / 2
         assert 0 < abs(moved - DISTANCE) <= FRICTION * GRAVITY * time_step**2 / 8 * (1 + 1e-12)
+
+
+def rests_in_space(angle: float, beyond: float, unit: float) -> cq.ContactProblem:
+    """Return a block of one node on a rough floor in a turned frame, pulled by more than friction holds."""
+    frame = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    pull = 0.5 * (1 + beyond) * np.array([np.cos(angle), np.sin(angle)])
+    rows = [[0.0, 0.0, -1.0]] @ frame.T, np.eye(2, 3) @ frame.T
+    return cq.ContactProblem(
+        np.zeros((3, 3)), unit * (frame @ [*pull, -1.0]), rows[0], [0.0], tangent=rows[1], friction=0.5
+    )
+
+
+@pytest.mark.parametrize(("angle", "unit"), [(0.0, 1.0), (0.3, 1e-6), (1.234, 1e5), (2.5, 1.0)])
+def test_what_pulls_by_little_more_than_friction_holds_is_told_in_space(angle: float, unit: float) -> None:
+    """Polygons about the circle were too coarse: 1e-7 beyond the limit took seconds, and proved nothing."""
+    for beyond in (1e-5, 1e-6, 1e-7, 1e-8):
+        with pytest.raises(cq.NoEquilibrium, match="what slides by s counts as lifted by mu s") as proven:
+            cq.solve(rests_in_space(angle, beyond, unit))
+        motion = proven.value.proof.motion
+        problem = rests_in_space(angle, beyond, unit)
+        slid = 0.5 * np.linalg.norm(problem.tangent @ motion)
+        assert (problem.normal @ motion)[0] + slid <= 1e-14
+        assert problem.load @ motion > 0
+    for below in (-1e-5, -1e-7, -1e-8):
+        solution = cq.solve(rests_in_space(angle, below, unit))
+        assert solution.certificate.passed
+        assert solution.contact_status.tolist() == ["stick"]
