@@ -128,10 +128,11 @@ def imposed_work(problem: ContactProblem, answer: Answer) -> float:
 def parts_of_bare_forces(problem: ContactProblem, bound: Vector, push: Vector) -> Vector:
     """Return bounds (m,) over the largest force for contacts at unknowns without stiffness, 0 for others.
 
-    Forces are compared in the scale that rows give these unknowns, as their own compliance does not see them.
+    Forces are compared in the largest scale that rows give these unknowns, as their own compliance does not see them.
     """
     bare = problem.diagonal == 0
-    felt = np.sqrt(problem.normal.power(2) @ scale_through_rows(problem) ** 2)
+    scale = given_on(problem, np.where(bare, 0.0, problem.own_scale), np.maximum)
+    felt = np.sqrt(problem.normal.power(2) @ scale**2)
     largest = float(np.max(felt * abs(push), initial=0.0))
     seen = (abs(problem.normal) @ bare.astype(float) > 0) & (largest > 0)
     return np.where(seen, bound * felt / (largest or 1.0), 0.0)

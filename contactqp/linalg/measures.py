@@ -360,31 +360,30 @@ def scale_through_rows(problem: ContactProblem) -> Vector:
     """Return D (n,): 1/sqrt(K_jj), or of an unknown without stiffness the scale that its rows give it, else 0.
 
     Answers are measured by it. It is zero where rows reach nothing stiff, and no length counts as zero there. A row
-    with stiff unknowns k gives max_k |E_ik| D_k / |E_ij|; the largest of several is used and passed on to further rows.
+    with stiff unknowns k gives max_k |E_ik| D_k / |E_ij|; the least of several is used and passed on to further rows:
+    a row that hardly moves the unknown carries none of its load, which would make the size of the problem.
     """
     if problem._computed.scale_through_rows is None:
         problem._computed.scale_through_rows = given_on(problem, reciprocal(np.sqrt(problem.diagonal)))
     return problem._computed.scale_through_rows
 
 
-def given_on(problem: ContactProblem, D: Vector) -> Vector:
-    """Return scales (n,) with rows' scales at the unknowns where D (n,) is zero, as in `scale_through_rows`."""
-    unknown = D == 0  # yet
-    while unknown.any():
-        given = np.maximum(_given_by(problem.normal, D), _given_by(problem.tie, D))
-        D = np.where(unknown, given, D)
+def given_on(problem: ContactProblem, D: Vector, choice: np.ufunc = np.minimum) -> Vector:
+    """Return scales (n,): D, and where it is 0 the least or largest of the rows, as in `scale_through_rows`."""
+    while (unknown := D == 0).any():
+        given = choice(*(_given_by(rows, D, choice) for rows in (problem.normal, problem.tie)))
+        D = np.where(unknown & np.isfinite(given), given, D)
         if not np.any(D[unknown] > 0):
             break
-        unknown &= D == 0
     return D
 
 
-def _given_by(rows: Any, D: Vector) -> Vector:
+def _given_by(rows: Any, D: Vector, choice: np.ufunc) -> Vector:
     row = np.arange(rows.shape[0]).repeat(rows.indptr[1:] - rows.indptr[:-1])
-    size, largest = abs(rows.data), np.zeros(rows.shape[0])
+    size, largest, start = abs(rows.data), np.zeros(rows.shape[0]), np.inf if choice is np.minimum else 0.0
     np.maximum.at(largest, row, size * D[rows.indices])
-    given, acting = np.zeros_like(D), size > 0
-    np.maximum.at(given, rows.indices[acting], largest[row[acting]] / size[acting])
+    acting = (size > 0) & (largest[row] > 0)
+    choice.at(given := np.full_like(D, start), rows.indices[acting], largest[row[acting]] / size[acting])
     return given
 
 
@@ -438,9 +437,9 @@ def force_size(problem: ContactProblem, rows: Any, force: Vector) -> float:
 def lengths_that_meet(problem: ContactProblem, rows: Any, limit: Vector, displacement: Vector) -> Vector:
     """Return L_i = (|E||u| + |g|)_i of every row (r,), infinite where that is zero [length].
 
-    It is zero where it is no more than the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies
-    that the row touches, D = 1/sqrt(K_jj): the displacement at a support (u_j = 0 as a row) is a rounding error, which
-    relative to itself would be a violation. Relative to infinity it is none, as 0/0 is 0.
+    It is zero up to the rounding 1e-14 |E_i D| max_j |u_j / D_j| of the displacements of the bodies that the row
+    touches, D = 1/sqrt(K_jj): the displacement at a support (u_j = 0 as a row) is a rounding error, a violation if
+    relative to itself, and none relative to infinity, as 0/0 is 0.
 
     Parameters
     ----------
