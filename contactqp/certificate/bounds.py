@@ -28,12 +28,12 @@ v_i = 0 on independent rows B,
 The pair (v, l) is the refined answer on the candidate's own set, or what `admissible_pair` finds. The bound of the
 candidate is its distance to the pair and the pair's own.
 
-Rounding allowance: v - w and the distances are formed from residuals in extended precision, never as differences of
-large numbers. The refinement that computes them contracts by a measured factor q; a last step of size s leaves about s
-q/(1-q), and 1e4 times what that can make in the energy norm is added. Where q >= 1/2 on every set, nothing is proven.
-The uncertainty by gaps or forces of rounding size is added. If bodies float, norms are computed with and without
-rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate of rounding, not an
-interval enclosure.
+Rounding allowance: v - w and the distances are formed from residuals in extended precision. Their refinement contracts
+by a measured factor q; a last step of size s leaves about s q/(1-q), and 1e4 times what that can make in the energy
+norm is added. Where q >= 1/2 on every set, nothing is proven. The uncertainty by gaps or forces of rounding size is
+added, and the rounding of |v_i|_K, as v_i is long where rows are nearly parallel. If bodies float, norms are computed
+with and without rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate of
+rounding, not an interval enclosure.
 """
 
 from __future__ import annotations
@@ -89,18 +89,17 @@ from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import Extended, Residuals, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
-from contactqp.linalg.measures import force_size, lengths_that_meet, own_compliance, parts
+from contactqp.linalg.measures import force_size, intrinsic_size, lengths_that_meet, of_rows, own_compliance, parts
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
 VANISHING = 1e-22  # errors with an energy norm below this part of the displacement's are rounding of refinement
 CORRECTIONS, LAST_CORRECTIONS = 3, 50  # of each possible set of the candidate, and of the first one after all fail
-# Forces below this part of the displacement's energy norm have absolute errors, and vice versa.
-NEXT_TO_NOTHING = 1e-12
+NEXT_TO_NOTHING = 1e-12  # forces below this part of the displacement's energy norm have absolute errors, and vice versa
 STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid part may be due to rounding of K
-# The reason why forces of single contacts have no bound although their resultants have one.
+# Why forces of single contacts have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant, and the force of each one of them has no bound"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 LARGEST = 8000  # the most condensed unknowns for the dense systems of the bounds
@@ -116,7 +115,7 @@ class Bounds:
     relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W or, if known, / largest_force
     energy_scale: float = 0.0  # |u*|_K or a lower bound
     force_scale: float = 0.0  # |l*|_W likewise
-    largest_force: float = 0.0  # max |l*_i| |E_i D|, D = 1/sqrt(K_jj), without friction; |l*|_W has rigid responses
+    largest_force: float = 0.0  # max |l*_i| |E_i D|, D = 1/sqrt(K_jj), of ties where no contact presses; no friction
     ties: tuple[float, float] = (0.0, 0.0)  # max |nu_i - nu*_i| |A_i D|, max |nu*_i| |A_i D|, if contacts have none
     rounding: float = 0.0  # the rounding of the refinement
     rigid_rounding: float = 0.0  # the energy norm of the rounding of a rigid displacement
@@ -210,14 +209,11 @@ def no_bounds(reason: str) -> Bounds:
 def admissible_pair(
     problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
 ) -> AdmissiblePair:
-    """Return the admissible pair that is nearest to the solution, as far as one is found.
-
-    Raises Unproven: there is none, or refinement does not converge.
+    """Return the admissible pair nearest to an answer without friction; raise Unproven if refinement finds none.
 
     Parameters
     ----------
-    problem, condensation : without friction, and its Condensation
-    answer, residual : the solution that the pair is to be near, and its Residuals
+    problem, answer, residual, condensation : as in `error_bounds`
     """
     pair = _nearest_pair(problem, answer, residual, condensation)
     if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive no motion
@@ -255,10 +251,10 @@ def _holding(
     answer: Answer | None = None,
     residual: Residuals | None = None,
 ) -> tuple[OnSet | None, int]:
-    """Refine the answer on a set, which may be corrected; return it if its signs hold, else None, and the systems.
+    """Refine an answer, unless its rounding hides the gaps, on a set that may be corrected; return it and the systems.
 
-    Refinement starts from an answer, unless that is so large that its rounding hides the gaps. None is returned, too,
-    where it does not contract: another set may leave out one of two nearly dependent rows. Without an answer Unproven.
+    It is None unless its signs hold and refinement contracts, as other sets may leave out one of two nearly dependent
+    rows; without an answer Unproven is raised then.
     """
     on_set, changed, holds = polish(problem, condensation, closed, corrections, answer, residual, CAUTION)
     if (q := on_set.contraction) >= CONTRACTION and answer is None:
@@ -298,13 +294,15 @@ def _from_set(problem: ContactProblem, answer: Answer, condensation: Condensatio
 
 def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSet) -> float:
     """Bound the distance of the solution from an answer that penetrates by rounding [square root of energy]."""
-    length = on_set.lengths
+    length, doubles = on_set.lengths, on_set.doubles
+    if not np.isfinite(length).all():  # where only rounding meets, the size of the problem says what is a length
+        elastic = condensation.rigid.without_rigid_part(doubles.displacement, problem.diagonal)
+        whole = of_rows(problem, problem.normal, intrinsic_size(problem, doubles, elastic))
+        length = np.where(np.isfinite(length), length, whole)
     excess = np.where(-on_set.gaps > ZERO_GAP * length, -on_set.gaps, 0.0)
-    undecided, saddle = 0.0, on_set.saddle
-    touching = (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
-    if not np.array_equal(touching, saddle.closed):
-        saddle = saddle_point(condensation, touching)
-    if saddle.redundant:
+    undecided, touching = 0.0, (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
+    same = np.array_equal(touching, on_set.saddle.closed)
+    if (on_set.saddle if same else saddle_point(condensation, touching)).redundant:
         undecided = of_noise(problem, condensation, on_set, length)
     if excess.any():
         undecided += of_penetration(problem, condensation, on_set, excess, length)
@@ -329,10 +327,9 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         rigid = max(rigid, 2 * uncertain)  # the answer may have the same strain
     if pair.exact and energy_scale <= pair.radius and not (problem.load.any() or push.any()):
         rounding = max(rounding, 4 * pair.dual_radius)  # without load, all admissible rigid displacements solve
-    hidden = uncertain > rounding and energy_scale <= uncertain
+    lost = uncertain > rounding and energy_scale <= uncertain and not pair.exact  # strain hidden by a large motion
     energy_scale = 0.0 if energy_scale <= max(rounding, uncertain) else energy_scale
-    # Forces on rigid motions or tied unknowns cause no strain, up to rounding.
-    force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0
+    force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0  # of forces that cause no strain
     free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
     vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
     error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing)
@@ -340,7 +337,9 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     force_bound, reason = _force_bound(problem, answer, condensation, pair)
     elastic = problem.diagonal.any()  # otherwise all energy norms are zero
-    largest = float(np.max(own * abs(push), initial=0.0)) if floats or scale > 0 else 0.0
+    tied = problem.ties > 0 and size == 0  # they may take what a nearly parallel contact presses in truth
+    felt = own_forces(problem, push, pair.tie_force.double()) if tied else own * abs(push)
+    largest = float(np.max(felt, initial=0.0)) if floats or tied or scale > 0 else 0.0
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
     if floats:
         shared, of_shared, sure = shared_by_rounding(problem, condensation, pair.saddle, moved, pair.cleared, push)
@@ -350,7 +349,6 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
         if relative is not None and not problem.diagonal.all():
             relative = np.maximum(relative, parts_of_bare_forces(problem, force_bound, push))
-    lost = hidden and not pair.exact  # the strain hidden by a large motion is unknown
     energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
     return Bounds(
         energy_scale=energy_scale,
@@ -385,10 +383,9 @@ def _force_error(
     """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
 
     `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces up to `vanishing`,
-    the rounding of the data, are zero: one unit in the last place of a load changes |l*|_W by as much as |u*|_K. Where
-    ties act, W is also taken without them, of contact forces and those of ties together, which differ from the true
-    ones by |w - u*|_K, and from the solution itself of contact forces alone. For slender floating bodies these norms
-    are not sharp, and forces of independent ties are compared one by one. The largest error is the bound.
+    the rounding of the data, are zero. Where ties act, W is also taken without them, of contact forces alone and with
+    those of ties, which differ from the true ones by |w - u*|_K. For slender floating bodies these are not sharp, and
+    forces of independent ties are compared one by one. The largest error is the bound.
     """
     floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
     norms = [(True, False)]
@@ -429,8 +426,7 @@ def _force_bound(
 ) -> tuple[Vector | None, str | None]:
     """Return bounds (m,) on the errors of the pair's contact forces, or None with the reason.
 
-    They are (4) on contacts closed in v, and the bound by the gap on open ones. Gaps within the radius are treated as
-    closed, as (4) holds for any choice.
+    They are (4) on contacts closed in v or within the radius, as (4) holds for any choice, and by the gap on open ones.
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     untold = pair.dual_radius * np.sqrt(condensation.delassus.compliance[: problem.contacts]) if pair.exact else 0.0
@@ -443,9 +439,12 @@ def _force_bound(
     bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
     if count:
         nothing = np.zeros((len(condensation.retained), count))
-        motion, reaction, _ = saddle.solve(nothing, np.eye(count), np.zeros((problem.ties, count)))
-        stiffness = np.sqrt(np.maximum(-reaction.diagonal(), 0.0))
-        bound[active] = stiffness * pair.dual_radius + abs(condensation.normal[outside] @ motion).T @ bound[outside]
+        motion, share, held = saddle.solve(nothing, np.eye(count), np.zeros((problem.ties, count)))
+        moved = condensation.normal @ motion
+        energy = -np.sum(moved[active] * share, axis=0) - np.sum((condensation.tie @ motion) * held, axis=0)
+        rounding = len(motion) * EPS * np.sum(abs(motion) / condensation.scale[:, None], axis=0) ** 2
+        own = np.sqrt(np.maximum(energy, 0.0) + rounding) * pair.dual_radius + abs(moved[outside]).T @ bound[outside]
+        bound[active] = own + 2 * abs(moved[active] - np.eye(count)).T @ own
         if condensation.rigid.count:
             bound[active] += out_of_balance(problem, answer, condensation, pair, active)
     return bound, None
@@ -455,14 +454,13 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
     """Yield a message for each failed bound on the whole answer; errors up to `nothing` [sqrt(energy)] are zero."""
     if bounds.suspicious is not None:
         yield f"unproven: {bounds.suspicious}"
-    # Absolute errors, where the true size vanishes, are compared with the answer's energy or, without strain, with the
-    # strain by rounding; sizes negligible beside all others count as zero, unless the contact forces are smaller.
+    # Where the true size vanishes, errors are compared with the answer's energy or the strain by rounding; what is
+    # negligible beside all others counts as zero, unless the contact forces are smaller.
     beside_forces = min(nothing, tolerance * bounds.force_scale) if bounds.force_scale > 0 else nothing
     strain, pushed = max(bounds.rigid_rounding, beside_forces), max(tolerance * bounds.energy_scale, nothing)
-    # The uncertainty by undecided gaps is no strain of a rigidly moving body; it is in the bound and its uncertainty.
+    # Undecided gaps do not strain a body that moves rigidly; they are in the bound and its uncertainty.
     forgiven_strain = bounds.free_distance + (0.0 if bounds.energy_scale > beside_forces else 2 * bounds.undecided)
-    # On rigid motions the true forces, those of the answer and their difference balance to rounding.
-    rigidly = 4 * bounds.force_rounding
+    rigidly = 4 * bounds.force_rounding  # forces and their difference balance to rounding on rigid motions
     pairs = (
         ("energy_error", "displacement", bounds.energy_scale, beside_forces, strain, forgiven_strain),
         ("force_error", "contact forces", bounds.force_scale, 0.0, pushed, rigidly),
@@ -489,9 +487,8 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
 
 
 def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
-    """Return whether the bound on the force of a contact is beyond the tolerance.
-
-    Errors up to `nothing` [sqrt(energy)] count as zero on floating bodies, as loads may be far larger than the forces.
+    """Return whether the bound on the force of a contact is beyond the tolerance; errors up to `nothing` count as zero
+    on floating bodies [sqrt(energy)], as loads may be far larger than the forces.
     """
     relative = bounds.relative_force_bound
     beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0

@@ -15,7 +15,7 @@ U|^2. So, of all solutions within a distance R of U, unknown by unknown, J* and 
 
 R is REACH times the size of the answer, or the room that contacts and ties of unknown j leave it in the direction of
 r_j; the residuals of extended precision are so small that w is still far below any tolerance. An answer u is at most |u
-- U|_K + sqrt(8 w) away from u* in the energy norm; and
+- U|_K + sqrt(8 w) away from u* in the energy norm, and by what it takes to meet the rows (`_force_errors`); and
 
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w
 
@@ -53,8 +53,8 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
-from contactqp.linalg.least_norm import by_corrections, without_needless_forces
-from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, without_needless_forces
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.sparse_saddle import (
@@ -66,7 +66,7 @@ from contactqp.linalg.sparse_saddle import (
     SparseSaddle,
     kept_saddle,
 )
-from contactqp.model.arrays import EPS, Array, Vector, seconds_of_unfinished, within_time
+from contactqp.model.arrays import EPS, TINY, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
@@ -93,8 +93,7 @@ NOT_APART = "the closed contacts and ties are too near to redundant for a bound 
 # With an elastic energy below minus this part of the energy's terms, a stationary point is no minimum.
 NEGATIVE = 1e-9
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
-# The number of rigid motions of a body in space.
-MOTIONS_OF_A_BODY = 6
+MOTIONS_OF_A_BODY = 6  # rigid ones, in space
 
 
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
@@ -127,7 +126,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))
-    found = _from_solution(twin, start, state, scaling, definite=factor is not None)
+    found, untold = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
     # If K is regular, forces are compared by the response of the untied bodies to their difference, with and without
@@ -140,7 +139,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
     (size, whole), (missed, missed_by_all) = felt
     # Without contact forces, those of ties are compared directly.
-    error = max(_relative(missed, size), _relative(missed_by_all, whole if size > 0 else 0.0))
+    error = max(_relative(missed + untold, size), _relative(missed_by_all + untold, whole if size > 0 else 0.0))
     return replace(found, force_error=error, force_scale=size)
 
 
@@ -152,8 +151,8 @@ def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
 
 def _from_solution(
     problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
-) -> Bounds:
-    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin.
+) -> tuple[Bounds, float]:
+    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin, and |U - u*|_K.
 
     If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
     contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ.
@@ -169,7 +168,7 @@ def _from_solution(
     moved = abs(solution.displacement)
     rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
     if elastic < -NEGATIVE * size - rounding:
-        return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM)
+        return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM), 0.0
     unique = unique_on(held)
     if unique.forces and np.array_equal(state.closed, held.closed):
         held = state  # all rows of the same set are met together
@@ -188,13 +187,14 @@ def _from_solution(
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
     rounded = max(EPS * min(works), REACH * least**2)
-    error = distance + float(np.sqrt(8 * wide))
+    by_residual, by_strain, back = _force_errors(problem, held) if unique.forces else (np.zeros(1), np.zeros(1), 0.0)
+    by_strain, untold = by_strain * max(by_energy := float(np.sqrt(8 * wide)), TINY), by_energy + back
+    bounded = unique.forces and bool(np.all(np.isfinite(by_residual + by_strain)))
+    missed, error = missed + (float(np.linalg.norm(by_residual)) if bounded else 0.0), distance + untold
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    by_residual, by_strain = _force_errors(problem, held, float(np.sqrt(8 * wide))) if unique.forces else (0.0, 0.0)
     own = abs(change) + by_residual
-    bounded = unique.forces and bool(np.all(np.isfinite(own + by_strain)))
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
@@ -214,94 +214,95 @@ def _from_solution(
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
     if state.length_residual <= MET_TOGETHER:
-        return found
+        return found, untold * root
     near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
-    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near)
+    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root
 
 
-def _force_errors(problem: ContactProblem, held: ClosedState, distance: float) -> tuple[Vector, Vector]:
-    """Bound the distance of the closed contacts' forces from the true ones [force], in two parts (m,).
+def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, Vector, float]:
+    """Bound the distance of the contacts' forces from the true ones [force], and that of U by rows it does not meet.
 
-    Let v move closed row i by one and no other closed row. Equilibrium of the solution, to its residual r, and of the
-    truth, which is within the distance |U - u*|_K, along v gives
+    Let v_i move row i by one and no other row that is closed or touches by rounding. Then U + s, s = sum c_j v_j, with
+    c_j what U leaves of row j, or its penetration without a force, is admissible, and |U - u*|_K <= d + b with d that
+    of the energy's bounds and b = 2 |s|_K. Equilibrium of the solution, to its residual r, and of the truth gives
 
-        |L_i - L*_i| <= |r|'|v| + |v|_K |U - u*|_K
+        |L_i - L*_i| <= |r|'|v_i| + |v_i|_K |U - u*|_K
 
-    Both are negligible relative to the largest forces and strain of the problem, but may not be on soft parts.
+    Both are negligible relative to the largest forces and strain, but may not be on soft parts or where rows are nearly
+    dependent. Returned are |r|'|v| + |v|_K b (m,), |v|_K (m,), CAUTION times both, and b.
     """
-    left, closed = np.zeros((problem.contacts, 2)), np.flatnonzero(held.closed)
+    found, (left, gap, tie) = np.zeros((problem.contacts, 2)), held.left.double(np.arange(problem.contacts))
+    length = row_sizes(problem, problem.normal).lengths(abs(held.answer.displacement.double())) + abs(problem.gap)
+    closed = np.flatnonzero(held.closed | (gap <= WITHIN_ROUNDING * length))
     if not len(closed):
-        return left[:, 0], left[:, 1]
+        return found[:, 0], found[:, 1], 0.0
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
-    residual, taken = abs(held.left.force.double()), np.zeros((rows.shape[0], 2))
+    missed = np.append(np.where(held.closed, gap, np.minimum(gap, 0.0))[closed], tie)
+    residual, taken, moved = abs(left), np.zeros((rows.shape[0], 2)), np.zeros(problem.dimension)
     # Rows of one unknown balance the residual there, other rows that on the other unknowns.
     alone, unknown = rows_alone(rows)
     others, free = np.delete(np.arange(rows.shape[0]), alone), np.delete(np.arange(problem.dimension), unknown)
+    entries, beside = rows.data[rows.indptr[alone]], rows[others][:, unknown]
+    moved[unknown] = missed[alone] / entries
     stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
-    taken[others] = _taken_by(rows[others][:, free], residual[free], stiffness, distance)
-    here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown]) * distance])
-    shared = abs(rows[others][:, unknown]).T @ taken[others]
-    taken[alone] = (here + shared) / abs(rows.data[rows.indptr[alone]])[:, None]
-    left[closed] = CAUTION * taken[: len(closed)]
-    return left[:, 0], left[:, 1]
+    together = rows[others][:, free], residual[free], stiffness, missed[others] - beside @ moved[unknown]
+    taken[others], moved[free] = _taken_by(*together)
+    here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown])])
+    taken[alone] = (here + abs(beside).T @ taken[others]) / abs(entries)[:, None]
+    found[closed] = CAUTION * taken[: len(closed)]
+    back = 2 * sum(energy_norm(problem, moved))
+    return found[:, 0] + (back * found[:, 1] if back > 0 else 0.0), found[:, 1], back
 
 
-def _taken_by(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
-    """Return |r|'|v| and |v|_K d for a motion v of each row (a, 2), with residuals r and a distance d.
+def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:
+    """Return |r|'|v| and |v|_K for a motion v of each row (a, 2), with residuals r, and the motion c_j v_j of all (n,).
 
-    Rows that share no unknown have separate motions. Both are infinite if rows overflow or are dependent.
+    Rows that share no unknown have separate motions. All are infinite if rows overflow or are dependent.
 
     Parameters
     ----------
-    rows : (a, n) sparse array
-    residual : (n,) array [force], their sizes
-    stiffness : (n, n) sparse array K
-    distance : float [square root of energy]
+    rows, stiffness : (a, n), (n, n) sparse arrays, E and K
+    residual, missed : (n,) array [force], the sizes of r, and (a,) array [length], c
     """
     rows = sp.csr_array(rows)
     size = np.asarray(rows.multiply(rows).sum(axis=1))
     if not (np.all(np.isfinite(size)) and np.all(size > 0) and np.all(np.isfinite(residual))):
-        return np.full((rows.shape[0], 2), np.inf)
-    energy = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1))
-    taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0)) * distance]) / size[:, None]
+        return np.full((rows.shape[0], 2), np.inf), np.zeros(rows.shape[1])
+    energy, moved = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1)), rows.T @ (missed / size)
+    taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0))]) / size[:, None]
     of_row = sp.csgraph.connected_components(sp.bmat([[None, rows], [rows.T, None]]), directed=False)[1][: len(size)]
     for group in np.flatnonzero(np.bincount(of_row) > 1):
         together = np.flatnonzero(of_row == group)
         few = rows[together]
         touched = np.unique(few.indices) if few.nnz < few.shape[1] else np.flatnonzero(np.bincount(few.indices))
+        few, own, left = few[:, touched], residual[touched], missed[together]
         if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
-            taken[together] = _taken_at_random(few[:, touched], residual[touched], stiffness[touched], distance)
+            taken[together], moved[touched] = _taken_at_random(few, own, stiffness[touched], left)
             continue
-        motions = np.linalg.pinv(few[:, touched].toarray())
+        motions = np.linalg.pinv(few.toarray())
         energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
-        taken[together, 0] = abs(motions).T @ residual[touched]
-        taken[together, 1] = np.sqrt(np.maximum(energy, 0.0)) * distance
-    return taken
+        taken[together, 0], moved[touched] = abs(motions).T @ own, motions @ left
+        taken[together, 1] = np.sqrt(np.maximum(energy, 0.0))
+    return taken, moved
 
 
-def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, distance: float) -> Array:
-    """Return probabilistic bounds of |r|'|v| and |v|_K d for the shortest motions v = E'(E E')^-1 e_i (a, 2).
+def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:
+    """Return `_taken_by` with probabilistic bounds for the shortest motions v = E'(E E')^-1 e_i of connected rows.
 
     For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z gives v'D z
     for all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2,
     with s_j the sum of |K_ji| over i. The root mean of `PROBES` is too small by the factor `CAUTION` with a probability
-    below 1e-10.
-
-    Parameters
-    ----------
-    rows : (a, n) sparse array E, independent
-    residual : (n,) array [force], their sizes
-    stiffness : (n, ...) sparse array, the rows of K
-    distance : float [square root of energy]
+    below 1e-10. `stiffness` (n, ...) are rows of K.
     """
     count, n = rows.shape
-    weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1))) * distance])
+    weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1)))])
     forces = np.random.default_rng(0).standard_normal((n, PROBES))
     solve = convexity.inverse_of_gram(rows)
     if solve is None:
-        return np.full((count, 2), np.inf)
+        return np.full((count, 2), np.inf), np.zeros(n)
     answered = [solve(rows @ (weight[:, None] * forces)) for weight in weights.T]
-    return np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
+    taken = np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
+    return taken, rows.T @ solve(missed[:, None])[:, 0]
 
 
 def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:

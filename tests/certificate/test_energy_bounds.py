@@ -341,8 +341,9 @@ def test_motions_of_many_rows_are_not_shorter_than_those_of_dense_systems() -> N
     stiffness, residual = sp.csr_array(root @ root.T), 10.0 ** rng.uniform(-6, 0, 70)
     motions = np.linalg.pinv(rows.toarray())
     energy = np.sum(motions * (stiffness @ motions), axis=0)
-    exact = np.column_stack([abs(motions).T @ residual, 2.0 * np.sqrt(energy)])
-    told = _taken_at_random(rows, residual, stiffness, 2.0)
+    exact = np.column_stack([abs(motions).T @ residual, np.sqrt(energy)])
+    told, moved = _taken_at_random(rows, residual, stiffness, missed := rng.random(60))
+    np.testing.assert_allclose(moved, motions @ missed)
     assert np.all(CAUTION * told >= exact)
     assert np.all(told <= 30 * exact)
 

@@ -3,8 +3,66 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import contactqp as cq
+
+
+@pytest.mark.parametrize("exponent", range(18, 30))
+def test_a_force_exchanged_for_that_of_a_nearly_parallel_row_is_refused(exponent: int) -> None:
+    """Both contacts touch where nothing moves, and the other set of contacts penetrates by less than any rounding.
+
+    The lengths that meet are zero, relative to which nothing is a penetration.
+    """
+    K = np.array([[105.0, -2.0], [-2.0, 107.0]])
+    rows = np.array([[0.0, 1.0], [2.0**-exponent, -1.0]])
+    u, right = np.array([-0.5, 0.0]), np.array([3 / 64, 0.25])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ right, rows, rows @ u)
+    assert cq.certify(problem, u, right).proven
+    np.testing.assert_allclose(cq.solve(problem).normal_force, right, rtol=1e-6)
+    for wrong in ([0.0, 13 / 64], [0.1, 0.25 + 0.1 - 3 / 64], [0.0, 0.25], [3 / 64, -0.25]):
+        moved = np.linalg.solve(K, problem.load - rows.T @ wrong)
+        for displacement in (u, moved):
+            judged = cq.certify(problem, displacement, wrong)
+            assert not judged.passed
+            error = abs(np.array(wrong) - right)
+            assert judged.force_bound is None or np.all(judged.force_bound >= (1 - 1e-14) * error)
+
+
+@pytest.mark.parametrize("stiffness", [64.0, 4096.0, 2.0**20])
+@pytest.mark.parametrize("exponent", [20, 26, 30])
+def test_forces_of_nearly_parallel_rows_are_exact_where_an_unknown_has_no_stiffness(
+    stiffness: float, exponent: int
+) -> None:
+    """Without the second contact its gap is less than 1e-20, which is a quarter of the force over such rows."""
+    n = 12
+    K = np.zeros((n, n))
+    K[2:, 2:] = stiffness * np.eye(n - 2) - 2.0 * (np.eye(n - 2, k=1) + np.eye(n - 2, k=-1))
+    rows = np.zeros((4, n))
+    rows[0, [4, 6]], rows[2, [11, 4]] = (1.0, -1.0), (1.0, -1.0)
+    rows[1, [0, 5]] = rows[3, [0, 5]] = -1.0, 1.0
+    rows[3, 4] = 2.0**-exponent
+    u, right = np.zeros(n), np.array([0.375, 0.25, 0.15625, 0.4375])
+    u[0] = 0.5
+    problem = cq.ContactProblem(K, K @ u + rows.T @ right, rows, rows @ u)
+    assert cq.certify(problem, u, right).proven
+    answer = cq.solve(problem)
+    np.testing.assert_allclose(answer.normal_force, right, atol=1e-6)
+    assert np.all(answer.certificate.force_bound >= abs(answer.normal_force - right))
+    assert not cq.certify(problem, answer.displacement, [0.375, 0.0, 0.15625, 0.6875]).passed
+
+
+def test_a_bound_contains_the_rounding_of_a_long_motion() -> None:
+    """Only a rigid motion of 1e8 moves the second contact and not the first; doubles round its energy to nothing."""
+    k = 5e4
+    K = np.array([[k, -k, 0.0], [-k, k, 0.0], [0.0, 0.0, 5.0]])
+    rows = np.array([[0.0, 0.0, -1.0], [2.0**-27, 0.0, -1.0]])
+    u, right = np.array([-0.5, -0.5, -0.25]), np.array([1.5, 0.0])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ right, rows, rows @ u)
+    for factor in (1.001, 1.1, 0.5):
+        judged = cq.certify(problem, u, factor * right)
+        assert not judged.passed
+        assert judged.force_bound is None or judged.force_bound[0] >= (1 - 1e-14) * abs(factor - 1) * 1.5
 
 
 def test_a_row_that_hardly_moves_an_unknown_does_not_make_the_size_of_a_problem() -> None:
@@ -21,3 +79,17 @@ def test_a_row_that_hardly_moves_an_unknown_does_not_make_the_size_of_a_problem(
     assert cq.certify(problem, u, forces, tie_force=held).proven
     pulled = forces + 9e-6 * np.array([1.0, -1.0, 0.0, 0.0])
     assert cq.certify(problem, u, pulled, tie_force=held).tension > 1e-7
+
+
+@pytest.mark.parametrize("exponent", [20, 24, 28])
+def test_a_force_that_a_nearly_parallel_tie_has_taken_is_refused(exponent: int) -> None:
+    """No contact presses then, beside which its force could be compared: that of the tie says what is a force."""
+    K, rows = np.diag([1500.0, 1600.0]), np.array([[-1.0, 0.0]])
+    K[0, 1] = K[1, 0] = -2.0
+    tie = rows + np.array([[0.0, 2.0**-exponent]])
+    u, pressed, held = np.array([-0.625, 0.75]), np.array([0.1875]), np.array([-0.625])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    assert cq.certify(problem, u, pressed, tie_force=held).proven
+    for displacement in (u, np.linalg.solve(K, problem.load - tie.T @ (held + pressed))):
+        assert not cq.certify(problem, displacement, [0.0], tie_force=held + pressed).passed
+    assert cq.solve(problem).normal_force == pytest.approx(pressed)
