@@ -34,11 +34,12 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import Uniqueness, other_forces, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.convexity import overlap_by_rounding
+from contactqp.linalg.convexity import drive_by_rounding, overlap_by_rounding
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals
 from contactqp.linalg.influence import plain_residuals
 from contactqp.linalg.iteration import Systems, iteration, systems_of
+from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import own_compliance, ratio
 from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model.arrays import (
@@ -62,12 +63,10 @@ from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Vio
 ROUNDING_OF_ANSWERS = 1e-3
 # Where K is singular and the bound on the relative error exceeds this, bounds by the energy are tried as well.
 FAR = 1e-6
-# A gap above this part of the largest length cannot be the rounding of other lengths.
-NO_ROUNDING = 1e-9
-# Largest figure that `holds` accepts. It is tighter than the certificate's tolerance, because rounding may add to it.
-HOLDS = 1e-10
-# Part of the intrinsic size that `holds` counts as zero, smaller than the certificate's for the same reason.
-NOTHING = 1e-13
+NO_ROUNDING = 1e-9  # a gap above this part of the largest length cannot be the rounding of other lengths
+# Largest figure that `holds` accepts, and the part of the intrinsic size that it counts as zero. Both are tighter than
+# those of the certificate, because rounding may add to them.
+HOLDS, NOTHING = 1e-10, 1e-13
 # Changes of forces below this relative size are not mentioned in notes; a force of so many bounds is proven to press.
 WORTH_SAYING, PROVEN_FORCE = 1e-9, 10.0
 NONE = np.zeros(0, dtype=int)
@@ -104,8 +103,7 @@ def compute_certificate(
     tie_force : (k,) array [force], needed where the problem has ties
     tolerance : largest figure that passes
     error_tolerance : largest bound on the relative error that passes
-    factorization : Condensation, optional
-        Reused instead of factorising again; residuals are always computed from the problem itself.
+    factorization : Condensation, optional, reused; residuals are always computed from the problem itself
     prove_friction : whether error bounds are computed with friction, too; bodies that were not condensed
         are condensed for this, up to the sizes stated in `contactqp.certificate.critical_friction`
 
@@ -113,8 +111,7 @@ def compute_certificate(
     ------
     InvalidProblem
         Wrong shapes, missing forces, or an indefinite stiffness. An answer with NaN is no error: it is refused.
-    Unsupported
-        A body too large to factorise has rigid motions that `near_null_space` does not state.
+    Unsupported : a body too large to factorise has rigid motions that `near_null_space` does not state
 
     Examples
     --------
@@ -176,6 +173,7 @@ class _Measured:
     law: Vector | None  # (m,) the residual of Coulomb's law at each contact; None without friction
     supported: Indices  # contacts that stick where a support carries their friction
     bounds: Bounds
+    driven: str | None  # how loads that balance to rounding only drive a motion that nothing holds
     errors: tuple[str, ...]  # one message for each bound on the whole answer that exceeds its tolerance
     force_bound_fails: bool  # whether the bound on the force of a contact is beyond the tolerance
     grazing: Mask  # (m,) contacts whose gap and force both vanish
@@ -246,6 +244,7 @@ def _measure(
         judged = _with_friction(problem, answer, found, basis, tolerance, allowed, prove_friction)
         law, supported, others, state, bounds = judged
     dependent = _dependent_ties(problem, condensation, bounds) if problem.ties > 1 else ()
+    touching = (answer.normal_force > 0) | (found.gap_measure <= WITHIN_ROUNDING)
     nothing = allowed[1] * found.intrinsic_size
     strained = max(found.intrinsic_size, state.energy)
     hidden = bool(rigid.count) and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
@@ -259,6 +258,7 @@ def _measure(
         law=law,
         supported=supported,
         bounds=bounds,
+        driven=drive_by_rounding(problem, rigid.motions, touching) if rigid.count and bounds.proven else None,
         errors=(
             *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
             *error_failures(bounds, error_tolerance, nothing),
@@ -340,9 +340,9 @@ def _verdict(
         notes += messages.of_friction_on_supports(problem, measured.supported)
         notes += messages.of_dependent_ties(problem, measured.dependent)
     claimed = bounds if failures else bounds.claimed(error_tolerance)
-    if claimed.proven and not failures and problem.contacts + problem.ties > 1:
-        overlap = overlap_by_rounding(problem, found.gap_measure <= tolerance)
-        claimed = claimed if overlap is None else no_bounds(overlap)
+    if claimed.proven and not failures and (measured.driven or problem.contacts + problem.ties > 1):
+        doubt = measured.driven or overlap_by_rounding(problem, found.gap_measure <= tolerance)
+        claimed = claimed if doubt is None else no_bounds(doubt)
     return Certificate(
         **figures,
         natural_map=None if law is None else float(law.max(initial=0.0)),

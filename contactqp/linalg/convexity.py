@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,14 @@ from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
-from contactqp.model.arrays import Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 
 # The most contacts and ties whose overlap is looked for in rational numbers, and why nothing is claimed with one.
 MOST_ROWS, DECIDED = 60, "what rounding of the data decides is not proven"
+# The relative rounding of a motion that is computed in doubles, and of a row's sum over it.
+ROUNDED_SUM = Fraction(256 * EPS)
 # Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
 # The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
@@ -301,3 +304,63 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
     overlap, unit = float(1 / max(abs(y) for y in weights)), problem.units.length
     involved = listed([name for name, y in zip(names, weights, strict=True) if y])
     return f"{involved} (weighted) overlap by {overlap:.2g}{' ' + unit if unit else ''}: {DECIDED}"
+
+
+def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> str | None:
+    """Say by how much loads drive a rigid motion that closed contacts and ties allow, taken exactly; None if none does.
+
+    The equilibrium is elsewhere or there is none then, unless loads are meant to balance that do to rounding only. By
+    Farkas' lemma, with rational weights, no forces l >= 0, nu have Z'E'l + Z'A'nu = Z'f; few motions, contacts and ties
+    are looked at. What rows leave of a motion by its own rounding is zero.
+
+    Parameters
+    ----------
+    problem : ContactProblem, without friction
+    motions : (n, r) array, rigid motions, to rounding
+    held : (m,) mask of the closed contacts
+    """
+    near = np.flatnonzero(held & np.isfinite(problem.gap))
+    rows = sp.csr_array(sp.vstack([problem.normal[near], problem.tie]))
+    count, few = rows.shape[0] + motions.shape[1], max(rows.nnz, motions.size) <= MOST_ROWS**2
+    if problem.frictional or not (count <= MOST_ROWS and few and problem.load.any()):
+        return None
+    moving = _simplest(motions, problem.own_scale)
+    felt = [[_sum_of(rows.data[a:b], z, rows.indices[a:b]) for a, b in pairwise(rows.indptr)] for z in moving]
+    signs = [{i: Fraction(-1)} for i in range(len(near))]
+    taken = [{i: value for i, value in enumerate(of_motion) if value} for of_motion in felt]
+    work = [sum((Fraction(float(f)) * z[j] for j, f in enumerate(problem.load) if f), Fraction(0)) for z in moving]
+    weights = contradiction([*signs, *taken], [*[Fraction(0)] * len(near), *work], len(near))
+    if weights is None:
+        return None
+    drive = np.array([float(sum(y * z[j] for y, z in zip(weights[len(near) :], moving, strict=True)))
+                      for j in range(problem.dimension)])  # fmt: skip
+    part = 1 / float(abs(problem.load) @ abs(drive))
+    return f"the loads on a motion that nothing holds balance but for {part:.1g} of them: {DECIDED}"
+
+
+def _simplest(motions: Array, scale: Vector) -> list[list[Fraction]]:
+    """Return motions (n, r) combined to unit ones at r unknowns, without rounding of zeros and simple mantissas.
+
+    An entry is zero beside the others in the scale D (n,) of the unknowns.
+    """
+    from scipy.linalg import qr
+
+    pivots = qr((motions / scale[:, None]).T, mode="r", pivoting=True)[1][: motions.shape[1]]
+    combined = motions @ np.linalg.inv(motions[pivots])
+    size = abs(combined) / scale[:, None]
+    combined[size <= float(ROUNDED_SUM) * size.max(axis=0)] = 0.0
+    return [[_simple(float(x)) for x in z] for z in combined.T]
+
+
+def _simple(value: float) -> Fraction:
+    mantissa, exponent = np.frexp(value)
+    exact = Fraction(float(mantissa))
+    ratio = exact.limit_denominator(MOST_ROWS)
+    return (ratio if abs(ratio - exact) <= ROUNDED_SUM else exact) * Fraction(2) ** int(exponent)
+
+
+def _sum_of(entries: Vector, motion: list[Fraction], unknowns: Any) -> Fraction:
+    """Return the sum of entries times a motion at unknowns, zero where it is rounding of the motion."""
+    terms = [Fraction(float(x)) * motion[j] for x, j in zip(entries, unknowns, strict=True)]
+    total = sum(terms, Fraction(0))
+    return total if abs(total) > ROUNDED_SUM * sum(map(abs, terms)) else Fraction(0)

@@ -93,3 +93,17 @@ def test_a_force_that_a_nearly_parallel_tie_has_taken_is_refused(exponent: int) 
     for displacement in (u, np.linalg.solve(K, problem.load - tie.T @ (held + pressed))):
         assert not cq.certify(problem, displacement, [0.0], tie_force=held + pressed).passed
     assert cq.solve(problem).normal_force == pytest.approx(pressed)
+
+
+@pytest.mark.parametrize("load", [0.0, 2.0**-53])
+def test_loads_that_balance_to_rounding_only_prove_nothing(load: float) -> None:
+    """Two masses pressed together by 1 and 1 - 2^-53 accelerate, taken exactly; an answer is not refused for it."""
+    K = np.array([[2.0, -2.0], [-2.0, 2.0]])
+    for gap in ([-0.25], [0.25]):
+        problem = cq.ContactProblem(K, [1.0, load - 1.0], [[1.0, -1.0]], gap)
+        judged = cq.solve(problem).certificate
+        assert judged.passed
+        assert judged.proven is (load == 0.0)
+        assert all("balance but for 6e-17 of them" in reason for reason in judged.reasons) or judged.proven
+    program = cq.ContactProblem(np.zeros((2, 2)), [0.75, 0.75 + load], [[1.0, 1.0]], [1.0])
+    assert cq.solve(program).certificate.proven is (load == 0.0)
