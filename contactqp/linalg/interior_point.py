@@ -18,13 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed
-from contactqp.linalg.equilibration import mostly_bare
-from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
+from contactqp.linalg.equilibration import equilibrated, mostly_bare
+from contactqp.linalg.extended import Extended, ExtendedAnswer, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.least_norm import by_corrections, by_dual_steps, by_single_changes, carried_by_rows
 from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
@@ -40,7 +41,7 @@ from contactqp.linalg.sparse_saddle import (
     solved_on,
     with_right_signs,
 )
-from contactqp.model.arrays import EPS, TINY, Mask, Vector, refuse_late
+from contactqp.model.arrays import EPS, TINY, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -280,17 +281,59 @@ class LastSolution:
     answer: ExtendedAnswer
     in_conflict: bool
 
+    def is_of(self, answer: Answer) -> bool:
+        """Return whether this very answer is the rounding of the solution."""
+        names = ("displacement", "normal_force", "tie_force")
+        return all(np.array_equal(getattr(self.given, name), getattr(answer, name)) for name in names)
+
 
 def remember(state: ClosedState, given: Answer) -> None:
     """Store with an equilibrated problem the solution of which an answer is the rounding."""
     state.problem._computed.last_solution = LastSolution(given, state.closed, state.answer, state.in_conflict)
 
 
+def remember_of_all_rows(
+    fewer: ContactProblem,
+    whole: ContactProblem,
+    answers: tuple[Answer, Answer],
+    shares: Any,
+    kept: tuple[Indices, Indices],
+) -> None:
+    """Store with a problem the solution found with some of its rows, which carry all forces in it.
+
+    Parameters
+    ----------
+    fewer, whole : the problem of some rows, and that of all
+    answers : of `fewer` and of `whole`, in the units of the problem
+    shares : (all, some) matrix with a positive entry where a contact touches when a kept one does
+    kept : the contacts and the ties of `whole` that are those of `fewer`
+    """
+    if fewer._computed.equilibrated is None:
+        return  # it was condensed
+    (twin, units), (other, others) = equilibrated(fewer), equilibrated(whole)
+    last: LastSolution | None = twin._computed.last_solution
+    if last is None or not last.is_of(units.scale(answers[0])):
+        return
+
+    def spread(force: Extended, at: Indices, one: Vector, all_rows: Vector) -> Extended:
+        """Return forces of kept rows on all rows, in other units; these are powers of two."""
+        force = force.times(units.force / others.force * (all_rows[at] / one))
+        hi, lo = np.zeros((2, len(all_rows)))
+        hi[at], lo[at] = force.hi, force.lo
+        return Extended(hi, lo)
+
+    moved = last.answer.displacement.times(units.length / others.length * (units.unknowns / others.unknowns))
+    normal = spread(last.answer.normal_force, kept[0], units.contacts, others.contacts)
+    tie = spread(last.answer.tie_force, kept[1], units.ties, others.ties)
+    closed = np.asarray(shares @ last.closed.astype(float) > 0)
+    given, answer = others.scale(answers[1]), ExtendedAnswer(moved, normal, None, tie)
+    other._computed.last_solution = LastSolution(given, closed, answer, last.in_conflict)
+
+
 def _remembered(problem: ContactProblem, answer: Answer) -> ClosedState | None:
     """Return the kept solution, with its residuals formed anew, if it is that of this very answer and holds."""
     last: LastSolution | None = problem._computed.last_solution
-    names = ("displacement", "normal_force", "tie_force")
-    if last is None or not all(np.array_equal(getattr(last.given, name), getattr(answer, name)) for name in names):
+    if last is None or not last.is_of(answer):
         return None
     state = ClosedState.of(problem, last.closed, last.answer)
     return replace(state, in_conflict=last.in_conflict) if state.holds else None

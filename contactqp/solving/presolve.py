@@ -33,6 +33,7 @@ from contactqp.errors import NoEquilibrium, NotCertified, NotConverged
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.equilibration import bounds_of_unknowns
 from contactqp.linalg.existence import Conflict
+from contactqp.linalg.interior_point import remember_of_all_rows
 from contactqp.linalg.iteration import contacts_are_many
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector, tell
 from contactqp.model.problem import ContactProblem
@@ -348,8 +349,13 @@ class PresolvedRun(Run):
     def final(self) -> Final:
         """Return the answer to be certified, with a force for every row."""
         self._run.polish = self.polish
+        fewer = self._fewer
         with self._run.meter.running():
-            whole: Final = self._fewer.spread(self._run.final())
+            found = self._run.final()
+            whole: Final = fewer.spread(found)
+            kept = fewer.contacts.kept, fewer.ties.kept
+            answers = found.answer, whole.answer
+            remember_of_all_rows(fewer.problem, self.problem, answers, fewer.contacts.matrix, kept)
         return whole
 
     def work(self, corrections: int) -> Work:

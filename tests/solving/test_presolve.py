@@ -9,6 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import interior_point
 from contactqp.solving.presolve import held_by_ties, never_close, parallel_rows, presolved
 
 SIZES = [6, 1500]
@@ -187,3 +188,22 @@ def test_contacts_that_ties_hold_have_no_force() -> None:
     assert held_by_ties(beyond).tolist() == [0]
     with pytest.raises(cq.NoEquilibrium):
         cq.solve(beyond)
+
+
+def test_a_vertex_of_a_program_with_repeated_rows_is_not_searched_again_for_its_certificate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The certificate of all rows began at doubles, and took 500 systems for a minimum cut in other units."""
+    costs = np.random.default_rng(3).integers(1, 9, 12).astype(float)
+    supply, demand = np.array([3.0, 4.0, 5.0]), np.array([2.0, 3.0, 3.0, 4.0])
+    carried = np.vstack([np.kron(np.eye(3), np.ones(4)), np.kron(np.ones(3), np.eye(4))])
+    rows = np.vstack([-np.eye(12), -3.0 * np.eye(12), -0.7 * np.eye(12)])
+    ties = np.vstack([carried, 3.0 * carried[:2]])
+    values = np.concatenate([supply, demand, 3.0 * supply[:2]])
+    problem = cq.ContactProblem(np.zeros((12, 12)), -costs, rows, np.zeros(36), tie=ties, tie_value=values)
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.energy == float(Fraction(cq.exact(problem).energy))
+    monkeypatch.setattr(interior_point, "nearest_state", lambda *_: pytest.fail("the vertex is known"))
+    forces = dict(normal_force=solution.normal_force, tie_force=solution.tie_force)
+    assert cq.certify(problem, displacement=solution.displacement, **forces).proven
