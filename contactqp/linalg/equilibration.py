@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
+from contactqp.linalg.factorization import SuperLU
 from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import EPS, Array, Index, Indices, Mask, Vector
 from contactqp.model.computed import Computed
@@ -19,10 +20,9 @@ from contactqp.model.solution import Answer, Candidate, NegligibleSizes
 
 # Rounds of equilibration, after which row and column maxima differ by little more than powers of two.
 ROUNDS = 12
-BALANCING_ROUNDS = 20  # sweeps over rows and columns for a mean of entries near one in programs
+HARDLY_GIVEN = 1e-10  # beside the number of entries, what keeps factors that no entry determines near one
 # Maxima between this and its inverse change factors by less than what rounding these to powers of two does.
 NEAR_ONE = 1.1
-OWN_UNIT_OF_A_ROW = 1e9  # rows larger than this, or smaller than its inverse, are scaled separately from their unknowns
 MOST_BARE = 6  # the most unknowns without stiffness in a contact problem of bodies; a quadratic program has more
 NO_LENGTH = 1e-6  # without imposed lengths, lengths below this part of the load count as zero
 # Sweeps over rows and columns, whose convergence depends on the coupling of the bodies.
@@ -79,16 +79,16 @@ def equilibrated(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
 
 
 def balanced(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
-    """Return a program `equilibrated` after scaling the entries of rows and K to a mean near one.
+    """Return a program in units with which entries of rows and K have a mean near one; otherwise as `equilibrated`.
 
-    With row maxima near one only, most entries of a program may be far below one, for which interior points fail. The
-    result is not cached.
+    With row maxima near one, most entries of a program may be far below one, for which interior points fail. The result
+    is not cached.
     """
 
     def times(_: ContactProblem, twin: ContactProblem, factor: float) -> ContactProblem:
         return ContactProblem._of_checked(twin._values() | dict(stiffness=twin.stiffness * factor), Computed())
 
-    twin, scaling = _equilibrated(problem, *_units_of_programs(problem))
+    twin, scaling = _equilibrated(problem, *_units_of_programs(problem), rounds=0)
     return _loaded(problem, twin, scaling, times)
 
 
@@ -143,12 +143,12 @@ def in_range(twin: ContactProblem) -> bool:
     return all(bool(np.all(np.isfinite(array))) for array in arrays)
 
 
-def _equilibrated(problem: ContactProblem, d: Array, r: Array) -> tuple[ContactProblem, Scaling]:
-    """Return the twin of a problem without load, gaps and ties, starting from factors of unknowns and rows."""
+def _equilibrated(problem: ContactProblem, d: Array, r: Array, rounds: int = ROUNDS) -> tuple[ContactProblem, Scaling]:
+    """Return the twin of a problem without load, gaps and ties, from factors of unknowns and rows after some rounds."""
     K = sp.csr_matrix(problem.stiffness_rows)
     rows = sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))
     sizes_K, sizes, columns = abs(K), abs(rows), abs(rows.T.tocsr())
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         of_rows = r * _largest(sizes, d)
         of_unknowns = d * np.maximum(_largest(sizes_K, d), _largest(columns, r))
         d, r = d / _root(of_unknowns), r / _root(of_rows)
@@ -183,13 +183,11 @@ def _units_of_bodies(problem: ContactProblem) -> tuple[Array, Array]:
     These do not depend on the units of unknowns and rows. The maximum norm alone has many such factors, and those near
     the units of the problem may have rows with entries of 1e-8 beside one. Unknowns without stiffness follow from rows
     that they share with others. All unknowns have one factor if this makes entries of rows more alike, as beside
-    springs over many decades. Where most have no stiffness all are one, but for rows far from size one.
+    springs over many decades. Where most unknowns have no stiffness entries of rows determine all factors.
     """
     rows, d = abs(sp.csr_matrix(sp.vstack([problem.normal, problem.tie]))), np.ones(problem.dimension)
     if 2 * np.sum(problem.diagonal == 0) > problem.dimension:
-        largest = _largest(rows, d)
-        foreign = (largest > OWN_UNIT_OF_A_ROW) | ((largest > 0) & (largest < 1 / OWN_UNIT_OF_A_ROW))
-        return d, 1.0 / np.where(foreign, largest, 1.0)
+        return _units_of_programs(problem)
     columns, d = rows.T.tocsr(), _inverse(np.sqrt(problem.diagonal))
     for _ in range(ROUNDS):
         reached = np.where(d == 0, _inverse(_largest(columns, _inverse(_largest(rows, d)))), 0.0)
@@ -215,22 +213,22 @@ def _inverse(sizes: Array) -> Array:
 
 
 def _units_of_programs(problem: ContactProblem) -> tuple[Array, Array]:
-    """Return factors d of unknowns and r of rows that minimise the squares of log(d K d) and log(r E d), nearly.
+    """Return factors d of unknowns and r of rows with the least squares of log(d_j^2 K_jj) and log(r_i |E_ij| d_j).
 
-    Each side in turn is set to its mean (A. R. Curtis and J. K. Reid, J. Inst. Maths Applics 10, 1972).
+    They make the geometric means of entries one (A. R. Curtis and J. K. Reid, J. Inst. Maths Applics 10, 1972) whatever
+    the units of the problem. Sweeps over rows and columns would keep these along chains of rows.
     """
-    K = abs(sp.coo_matrix(problem.stiffness_rows))
     E = abs(sp.coo_matrix(sp.vstack([problem.normal, problem.tie])))
-    K.eliminate_zeros()
     E.eliminate_zeros()
-    of_K, of_E, (m, n) = np.log2(K.data), np.log2(E.data), E.shape
-    in_rows = np.maximum(np.bincount(E.row, minlength=m), 1)
-    in_columns = np.maximum(np.bincount(E.col, minlength=n) + np.bincount(K.row, minlength=n), 1)
-    d, r = np.zeros(n), np.zeros(m)
-    for _ in range(BALANCING_ROUNDS):
-        r = -np.bincount(E.row, of_E + d[E.col], m) / in_rows
-        d = -(np.bincount(E.col, of_E + r[E.row], n) + np.bincount(K.row, of_K + d[K.col], n)) / in_columns
-    return 2.0**d, 2.0**r
+    (m, n), of_E, stiff = E.shape, np.log2(E.data), problem.diagonal > 0
+    of_K = np.log2(np.where(stiff, problem.diagonal, 1.0))
+    of_unknowns = 4.0 * stiff + np.bincount(E.col, minlength=n), 2.0 * of_K + np.bincount(E.col, of_E, n)
+    of_rows = np.bincount(E.row, minlength=m), np.bincount(E.row, of_E, m)
+    entries, logs = (np.concatenate(both) for both in zip(of_unknowns, of_rows, strict=True))
+    pattern = sp.csc_matrix((np.ones(E.nnz), (E.col, E.row)), shape=(n, m))
+    matrix = sp.bmat([[None, pattern], [pattern.T, None]], format="csc") + sp.diags(entries + HARDLY_GIVEN)
+    d, r = np.split(np.exp2(-SuperLU(matrix).solve(logs)), [n])
+    return d, r
 
 
 def _in_units(problem: ContactProblem, twin: ContactProblem, d: Array, r: Array) -> ExtendedRows:

@@ -460,7 +460,7 @@ def test_rows_that_contradict_each_other_are_named() -> None:
 @pytest.mark.slow
 def test_corrections_find_the_contacts_that_an_interior_point_does_not_tell() -> None:
     """The contacts of its answer do not balance the load, and changes of all at once lead nowhere."""
-    problem, x = plan(3, 250, 140)
+    problem, x = plan(9, 160, 90)
     twin, scaling = equilibrated(problem)
     found = find("clarabel").solve(twin, Settings(1e-9)).answer
     gap = twin.gap - twin.normal @ found.displacement

@@ -126,7 +126,7 @@ def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(3))
 def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> None:
-    """Units of unknowns and rows of 2^-24 to 2^24, which maxima of rows do not undo; nothing is rounded."""
+    """Units of unknowns and rows of 2^-24 to 2^24, which maxima of rows alone do not undo; nothing is rounded."""
     problem, _ = few_quadratic_terms(seed)
     rng = np.random.default_rng(seed)
     D, R, S = (
@@ -141,7 +141,7 @@ def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> N
         tie_value=S @ problem.tie_value,
     )
     spreads = [np.std(np.log2(abs(units(other)[0].tie.data))) for units in (balanced, equilibrated)]
-    assert spreads[0] < 2 < 3 < spreads[1]
+    assert max(spreads) < 1
     twin, scaling = balanced(other)
     u, force, tie = (rng.normal(size=size) for size in (other.dimension, other.contacts, other.ties))
     answer = Answer(u, force, None, tie)
