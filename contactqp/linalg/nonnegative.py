@@ -206,6 +206,7 @@ class StrictProgram:
             x, self.force = self._held()
         length = np.linalg.norm(self._rows, axis=1)
         length[length == 0] = 1.0
+        before = set[frozenset[int]]()
         for step in steps:
             if step % STEPS_UNTIMED == 0:
                 refuse_late("contacts open and close one by one")
@@ -215,6 +216,9 @@ class StrictProgram:
             if self.ended or not excess[worst] > 0:
                 self.ended = True
                 break
+            if (now := frozenset(self.active)) in before:
+                break  # rounding decides: the energy would have risen, and no set recurs then
+            before.add(now)
             x = self._closed(worst, x, steps)
             if step % STEPS_BETWEEN == 0:
                 x, self.force = self._held()

@@ -9,7 +9,12 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import least_norm
 from contactqp.linalg.equilibration import _units_of_bodies, equilibrated
+from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.sparse_saddle import ClosedState, Effort
+from contactqp.solving.methods import Settings, find
+from tests.linalg.test_crossover import wide
 
 
 def double_integrator(steps: int) -> dict[str, Any]:
@@ -112,3 +117,14 @@ def test_what_rounding_of_units_decides_is_not_proven() -> None:
     assert float(rounded.energy) == pytest.approx(290.0 * energy, rel=1e-9)
     assert solution.energy == pytest.approx(274.0 * energy, rel=1e-12)
     assert not solution.certificate.proven
+
+
+def test_corrections_end_where_rounding_makes_a_set_of_contacts_recur(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their dual active set went round for minutes, until its budget was spent: 900 steps lead to the solution."""
+    monkeypatch.setattr(least_norm, "PRODUCTS", 1e8)  # 4480 steps
+    twin = equilibrated(wide(14, 60, 0.0))[0]
+    found = find("clarabel").solve(twin, Settings(1e-9)).answer
+    closed = found.normal_force > twin.gap - twin.normal @ found.displacement
+    state = least_norm.by_corrections(ClosedState.of(twin, closed, ExtendedAnswer.of(found)), effort := Effort())
+    assert state.holds
+    assert 0 < effort.corrected < 2000
