@@ -307,11 +307,13 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
 
 
 def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> str | None:
-    """Say by how much loads drive a rigid motion that closed contacts and ties allow, taken exactly; None if none does.
+    """Say by how much loads drive a motion of unknowns without stiffness that closed contacts and ties allow, taken
+    exactly; None if none does.
 
-    The equilibrium is elsewhere or there is none then, unless loads are meant to balance that do to rounding only. By
+    The equilibrium is elsewhere or there is none then, as of a linear program whose costs balance to rounding only. By
     Farkas' lemma, with rational weights, no forces l >= 0, nu have Z'E'l + Z'A'nu = Z'f; few motions, contacts and ties
-    are looked at. What rows leave of a motion by its own rounding is zero.
+    are looked at. What rows leave of a motion by its own rounding is zero. Of elastic bodies the rigid motions have the
+    rounding of K, and loads on them that balance to rounding are meant to.
 
     Parameters
     ----------
@@ -324,7 +326,8 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     count, few = rows.shape[0] + motions.shape[1], max(rows.nnz, motions.size) <= MOST_ROWS**2
     if problem.frictional or not (count <= MOST_ROWS and few and problem.load.any()):
         return None
-    moving = _simplest(motions, problem.own_scale)
+    stiff = np.flatnonzero(problem.diagonal)
+    moving = [z for z in _simplest(motions, problem.own_scale) if not any(z[j] for j in stiff)]
     felt = [[_sum_of(rows.data[a:b], z, rows.indices[a:b]) for a, b in pairwise(rows.indptr)] for z in moving]
     signs = [{i: Fraction(-1)} for i in range(len(near))]
     taken = [{i: value for i, value in enumerate(of_motion) if value} for of_motion in felt]
