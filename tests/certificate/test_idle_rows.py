@@ -137,6 +137,30 @@ def test_equilibria_in_rational_numbers_leave_out_what_never_closes() -> None:
     assert cq.exact(pad).normal_force.tolist() == state.normal_force.tolist()
 
 
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("enclose", [None, True])
+def test_rows_of_zeros_that_touch_have_no_force_in_rational_numbers(friction: bool, enclose: bool | None) -> None:
+    """A contact without a normal that touches presses on nothing, and so its friction holds nothing."""
+    sliding = dict(tangent=[[0.0], [-1.0], [1.0]], friction=[0.0, 0.5, 0.5], slip_origin=[-0.5, 0.0, 0.5])
+    zeros = cq.ContactProblem(
+        [[4.0]], [-10.0], [[0.0], [-1.0], [0.0]], [1.0, 2.0, 0.0], **(sliding if friction else {})
+    )
+    pressed = Fraction(4, 3) if friction else Fraction(2)
+    answer = cq.exact(zeros, enclose=None if friction else enclose)
+    assert answer.doubles.normal_force == pytest.approx([0.0, float(pressed), 0.0])
+    assert answer.normal_force[[0, 2]].tolist() == [0, 0]
+    assert answer.unique_forces
+    assert answer.contact_status == ("open", "slip" if friction else "closed", "open")
+    assert answer.contact_status == tuple(cq.solve(zeros).contact_status)
+    assert answer.gap[2] == 0
+    if friction:
+        [state] = cq.exact_equilibria(zeros)
+        assert state.normal_force.tolist() == [0, pressed, 0]
+        assert state.contact_status == answer.contact_status
+    with pytest.raises(cq.NoEquilibrium):
+        cq.exact(zeros.replace(gap=[1.0, 2.0, -1.0]))
+
+
 def test_the_margin_and_the_local_form_leave_out_what_never_closes() -> None:
     rows = dict(normal=[[-1.0, 0.0], [1.0, 0.0]], gap=[0.5, np.inf], tangent=[[0.0, 1.0]] * 2, friction=0.3)
     both = cq.ContactProblem(stiffness=[[2.0, 0.0], [0.0, 4.0]], load=[-3.0, 1.0], **rows)

@@ -140,16 +140,21 @@ def _asked(problem: ContactProblem, source: str, method: str, options: dict[str,
 def _of_any_gaps(
     problem: ContactProblem, source: str, method: str, enclose: bool | None, options: dict[str, Any], started: float
 ) -> ExactSolution:
-    """Return the answer of a problem's floats; a contact that never closes is a row of zeros in rational numbers."""
-    never = np.flatnonzero(problem.gap == np.inf)
+    """Return the answer of a problem's floats; contacts that never press are open rows of zeros in rational numbers.
+
+    They have an infinite gap, or a row of zeros with a gap of 0.
+    """
+    zero = (abs(problem.normal).sum(axis=1) == 0) & (problem.gap == 0)
+    never = np.flatnonzero((problem.gap == np.inf) | zero)
     if not never.size:
         return _of_floats(_asked(problem, source, method, options, started), enclose)
-    acts = np.where(problem.gap < np.inf, 1.0, 0.0)
-    finite = problem.replace(normal=sp.diags_array(acts) @ problem.normal, gap=np.where(acts > 0, problem.gap, 1.0))
+    acts, gap = np.ones(problem.contacts), problem.gap.copy()
+    acts[never], gap[never] = 0.0, 1.0
+    finite = problem.replace(normal=sp.diags_array(acts) @ problem.normal, gap=gap)
     answer = _of_floats(_asked(finite, source, method, options, started), enclose)
-    gap = answer.gap.copy()
-    gap[never] = np.inf
-    return replace(answer, problem=problem, gap=gap)
+    stated = answer.gap.copy()
+    stated[never] = [Fraction(0) if zero[i] else np.inf for i in never]
+    return replace(answer, problem=problem, gap=stated)
 
 
 def _of_floats(asked: Asked, enclose: bool | None) -> ExactSolution:

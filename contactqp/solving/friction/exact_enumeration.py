@@ -43,7 +43,7 @@ NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_orig
 
 
 class ExactData:
-    """A problem in Fractions; matrices are lists of rows, of zeros and without friction where a contact never closes.
+    """A problem in Fractions; matrices are lists of rows, of zeros and without friction where a contact never presses.
 
     Raises InvalidProblem: a name is unknown, a value is no rational number, or it does not round to the problem's.
     """
@@ -65,7 +65,8 @@ class ExactData:
         # The friction of a contact that cannot slide has no effect.
         moves = zip(self.tangent, self.slip_origin, strict=True)
         still = np.array([not any(row) and not origin for row, origin in moves], dtype=bool)
-        self.never = problem.gap == np.inf
+        self.apart = problem.gap == np.inf
+        self.never = self.apart | np.array([not any(row) for row in self.normal], dtype=bool) & (problem.gap >= 0)
         idle = still | self.never
         self.friction = [Fraction(0) if one else mu for one, mu in zip(idle, self.friction, strict=True)]
         self.normal = [[Fraction(0)] * len(row) if i else row for i, row in zip(self.never, self.normal, strict=True)]
@@ -220,10 +221,8 @@ def _doubles(values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _listed(bodies: _Bodies) -> tuple[ExactEquilibrium, ...]:
-    choices = [
-        (OPEN,) if never else plane_states(mu)
-        for never, mu in zip(bodies.data.never, bodies.data.friction, strict=True)
-    ]
+    states = zip(bodies.data.never, bodies.data.friction, strict=True)
+    choices = [(OPEN,) if never else plane_states(mu) for never, mu in states]
     members = [found for status in combinations_of(choices) if (found := bodies.members(status)) is not None]
     points: list[Row] = []
     listed = []
@@ -400,7 +399,7 @@ class _Members:
         forces = [self._value(row) for row in bodies.force_rows()]
         normal, friction = forces[: bodies.m], forces[bodies.m :]
         gap, slip = [-self._value(row) for row in bodies.gap], [self._value(row) for row in bodies.slip]
-        apart = [np.inf if never else one for one, never in zip(gap, bodies.data.never, strict=True)]
+        apart = [np.inf if never else one for one, never in zip(gap, bodies.data.apart, strict=True)]
         return ExactEquilibrium(
             displacement=_array(self.displacement),
             normal_force=_array(normal),
@@ -408,7 +407,7 @@ class _Members:
             tie_force=_array([self._value(row) for row in bodies.tie_rows()]),
             gap=_array(apart),
             slip=_array(slip)[:, None],
-            contact_status=tuple(map(_status, normal, gap, slip, bodies.data.friction)),
+            contact_status=tuple(map(_status, normal, gap, slip, bodies.data.friction, bodies.data.never)),
             continuum=self.continuum,
             unique_forces=unique_forces,
         )
@@ -431,9 +430,9 @@ def _equation(form: Row) -> Row:
     return [*form[:-1], -form[-1]]
 
 
-def _status(force: Fraction, gap: Fraction, slip: Fraction, friction: Fraction) -> str:
+def _status(force: Fraction, gap: Fraction, slip: Fraction, friction: Fraction, never: bool) -> str:
     if not force:
-        return "open" if gap else "grazing"
+        return "open" if gap or never else "grazing"
     if not friction:
         return "closed"
     return "slip" if slip else "stick"
