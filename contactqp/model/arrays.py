@@ -21,7 +21,6 @@ from inspect import Parameter, Signature, isfunction, signature
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NotConverged, WrongCall, no_argument, out_of_memory
@@ -476,7 +475,7 @@ def without_rounded_levers(stiffness: Any, normal: Any, tangent: Any) -> tuple[A
     width, stiff, size = tangent.shape[0] // max(normal.shape[0], 1), stiffness.diagonal() > 0, abs(normal)
     for k in range(width):
         size = size.maximum(abs(tangent[k::width]))
-    size = sp.csr_array(size @ sp.diags_array(np.where(stiff, 0.0, ROUNDED_LEVER)))
+    size = size.multiply(np.where(stiff, 0.0, ROUNDED_LEVER)).tocsr()
     contacts = np.arange(normal.shape[0]).repeat(width)
     return _entries_beyond(size, normal), _entries_beyond(size[contacts], tangent)
 
@@ -486,7 +485,7 @@ def _entries_beyond(size: Any, rows: Any) -> Any:
     small = abs(rows) < size
     if not small.multiply(abs(rows) > 0).nnz:
         return rows
-    kept = sp.csr_array(rows - rows.multiply(small))
+    kept = (rows - rows.multiply(small)).tocsr()
     kept.sort_indices()
     kept.eliminate_zeros()
     return kept
