@@ -76,21 +76,21 @@ def shift_to_least_norm(
     return _shift_along(problem, free, condensation.unknown_scale, answer)
 
 
-# The most numbers of which free motions, or their products with rows, may consist.
-MOST_MOVED = 10_000_000
+# The most operations on free motions: the larger of unknowns and rows times the square of their number.
+MOST_MOVED = 100_000_000
 
 
 def sparse_shift_to_least_norm(problem: ContactProblem, answer: Answer, closed: Indices) -> tuple[Vector, Array]:
     """Return the shift and the free motions of `shift_to_least_norm` without condensing.
 
-    Parameters are those of `shift_to_least_norm`. There are no motions where these would not fit into little memory, as
-    with thousands of unknowns without stiffness.
+    Parameters are those of `shift_to_least_norm`. There are no motions where these would take longer than most answers,
+    as with a thousand unknowns without stiffness.
     """
     none, (n, rows) = np.zeros(problem.dimension), (problem.dimension, len(closed) + problem.ties)
-    if max(n, rows) * np.count_nonzero(problem.diagonal == 0) > MOST_MOVED:
+    if max(n, rows) * np.count_nonzero(problem.diagonal == 0) ** 2 > MOST_MOVED:
         return none, none[:, None][:, :0]
     motions, scale = null_space(problem.stiffness_rows).motions, unknown_scale(problem)
-    if max(n, rows) * motions.shape[1] > MOST_MOVED:
+    if max(n, rows) * motions.shape[1] ** 2 > MOST_MOVED:
         return none, none[:, None][:, :0]
     held = sp.vstack([problem.normal[closed], problem.tie], format="csr") @ sp.diags(scale)
     free = orthonormal(motions @ unresisted(motions / scale[:, None], bodies(problem), sp.csr_matrix(held)))
