@@ -111,7 +111,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
 
 
 def _refuse_other_units(path: Path, stated: Any, problem: ContactProblem) -> None:
-    """Refuse an answer that states other units than the problem, as what `contactqp run --json` prints states them.
+    """Refuse an answer that states other units than the problem, as JSON printed by the command `run` states them.
 
     Raises InvalidProblem: a unit of length or force with another name, where the problem names its own.
     """
