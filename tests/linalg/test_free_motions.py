@@ -114,6 +114,20 @@ def test_programs_of_sparse_systems_rest_at_the_least_norm(problem: cq.ContactPr
     assert solution.certificate.proven
 
 
+@pytest.mark.parametrize(("unknowns", "free"), [(100, 99), (700, 0)])
+def test_hundreds_of_unknowns_without_stiffness_are_searched_for_free_motions_and_no_more(
+    unknowns: int, free: int
+) -> None:
+    """A cost drives one unknown against its bound and determines no other; a search takes the cube of their number."""
+    cost, both = np.zeros(unknowns), sp.vstack([sp.identity(unknowns), -sp.identity(unknowns)], format="csr")
+    cost[0] = 1.0
+    problem = cq.ContactProblem(sp.csr_array((unknowns, unknowns)), cost, both, np.ones(2 * unknowns))
+    solution = cq.solve(problem, condense=False)
+    assert solution.certificate.proven
+    assert solution.displacement[0] == 1.0
+    assert len(solution.free_motions) == free
+
+
 @pytest.mark.parametrize("decimal", [2.0**-20, 1e-6])
 def test_a_chain_over_many_bounds_rests_on_the_first_that_it_meets(decimal: float) -> None:
     """The load balances, to rounding only in decimals, and the least norm presses nothing."""
