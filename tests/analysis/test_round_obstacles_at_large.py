@@ -41,7 +41,7 @@ def test_a_node_that_lands_on_top_of_a_ball_and_stays_there_unstable_does_not_sn
     assert history.notes == ("from load factor 0.4 the equilibrium is unstable: 1 motion(s) lower the energy",)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_coefficients_of_zero_are_no_friction_on_the_way_and_leave_zero_forces(dimension: int) -> None:
     """A node that slips off a ball: its tangent is indefinite, which friction would not stand in space."""
     fixed = np.zeros((5, dimension))

@@ -67,7 +67,15 @@ def rests_in_space(angle: float, beyond: float, unit: float) -> cq.ContactProble
     )
 
 
-@pytest.mark.parametrize(("angle", "unit"), [(0.0, 1.0), (0.3, 1e-6), (1.234, 1e5), (2.5, 1.0)])
+@pytest.mark.parametrize(
+    ("angle", "unit"),
+    [
+        (0.0, 1.0),
+        pytest.param(0.3, 1e-6, marks=pytest.mark.slow),
+        (1.234, 1e5),
+        pytest.param(2.5, 1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_what_pulls_by_little_more_than_friction_holds_is_told_in_space(angle: float, unit: float) -> None:
     """Polygons about the circle were too coarse: 1e-7 beyond the limit took seconds, and proved nothing."""
     for beyond in (1e-5, 1e-6, 1e-7, 1e-8):
