@@ -186,7 +186,7 @@ def _from_solution(
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
-    rounded = max(EPS * min(works), REACH * least**2)
+    rounded = max(EPS * min(works), REACH * least * least)
     by_residual, by_strain, back = _force_errors(problem, held) if unique.forces else (np.zeros(1), np.zeros(1), 0.0)
     by_strain, untold = by_strain * max(by_energy := float(np.sqrt(8 * wide)), TINY), by_energy + back
     bounded = unique.forces and bool(np.all(np.isfinite(by_residual + by_strain)))

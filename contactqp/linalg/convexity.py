@@ -326,7 +326,7 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     count, few = rows.shape[0] + motions.shape[1], max(rows.nnz, motions.size) <= MOST_ROWS**2
     if problem.frictional or not (count <= MOST_ROWS and few and problem.load.any()):
         return None
-    stiff = np.flatnonzero(problem.diagonal)
+    stiff, loose = np.flatnonzero(problem.diagonal), np.flatnonzero(problem.diagonal == 0)
     moving = [z for z in _simplest(motions, problem.own_scale) if not any(z[j] for j in stiff)]
     felt = [[_sum_of(rows.data[a:b], z, rows.indices[a:b]) for a, b in pairwise(rows.indptr)] for z in moving]
     signs = [{i: Fraction(-1)} for i in range(len(near))]
@@ -335,10 +335,9 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     weights = contradiction([*signs, *taken], [*[Fraction(0)] * len(near), *work], len(near))
     if weights is None:
         return None
-    drive = np.array([float(sum(y * z[j] for y, z in zip(weights[len(near) :], moving, strict=True)))
-                      for j in range(problem.dimension)])  # fmt: skip
-    part = 1 / float(abs(problem.load) @ abs(drive))
-    return f"the loads on a motion that nothing holds balance but for {part:.1g} of them: {DECIDED}"
+    driven = [sum((y * z[j] for y, z in zip(weights[len(near) :], moving, strict=True)), Fraction(0)) for j in loose]
+    part = 1 / sum(abs(Fraction(float(f)) * z) for f, z in zip(problem.load[loose], driven, strict=True))
+    return f"the loads on a motion that nothing holds balance but for {float(part):.1g} of them: {DECIDED}"
 
 
 def _simplest(motions: Array, scale: Vector) -> list[list[Fraction]]:

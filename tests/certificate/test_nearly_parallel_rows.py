@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,23 @@ def test_costs_of_a_program_that_balance_to_rounding_only_prove_nothing(load: fl
     assert judged.passed
     assert judged.proven is (load == 0.0)
     assert judged.proven or all("balance but for 7e-17 of them" in reason for reason in judged.reasons)
+
+
+def test_costs_that_balance_to_rounding_beside_a_spring_have_an_answer_or_a_reason_at_any_size() -> None:
+    """Motions and lengths of such sizes are no doubles, nor are their squares."""
+    answered = 0
+    for load, row, gap in product([1e-300, 1e-200, 1e-100, 1.0, 1e200], [1.0, 1e200], [1e-200, 1.0]):
+        costs = [0.75 * load, 0.75 * load * (1 + 2.0**-52), 1.0]
+        problem = cq.ContactProblem(np.diag([0.0, 0.0, 1.0]), costs, [[row, row, 0.0]], [gap])
+        try:
+            solution = cq.solve(problem)
+        except (cq.NotCertified, cq.NoEquilibrium):
+            continue
+        answered += 1
+        assert solution.displacement[2] == pytest.approx(1.0)
+        wrong = solution.displacement + np.array([0.0, 0.0, 0.1])
+        assert not cq.certify(problem, wrong, solution.normal_force).passed
+    assert answered  # 4 of 20; the others are refused for sizes that no doubles have
 
 
 def test_loads_on_free_bodies_that_balance_to_rounding_are_meant_to_balance() -> None:
