@@ -91,8 +91,6 @@ LIKE_FORCES = re.compile(
     r"(?!react|.*coefficient$)(?:.*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|f_?[nct]"
     r"|(?:tau|[lrt]_?[nt])_?[\dxyz]?$|t_?\d$|duals?$)"
 )
-
-
 LIKE_DISPLACEMENTS = re.compile(r"disp(?:l(?:acements?)?)?s?$")
 
 

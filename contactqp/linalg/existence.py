@@ -43,8 +43,8 @@ LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance
 # Coordinates and gains above this part of the largest are not artefacts of that tolerance, and the excess after a
 # linear program, relative to that before, below which it counts as removed.
 DRIVEN, REMAINING = 1e-7, 1e-7
-PROGRAMS = 4  # each starting from the last, that reach the rounding of doubles
-# Polygons in place of the circle of slips, each near those that the last allowed, and the part of work that they tell.
+PROGRAMS = 4  # linear programs, each starting from the last, which together reach the rounding of doubles
+# Polygons in place of the circle of slips, finer near those that the last allowed; the least part of work that counts.
 POLYGONS, HARDLY_DRIVEN = 6, 1e-10
 # Constraints with slacks beyond this multiple of the excess are left out of the program.
 FAR = 1e7

@@ -97,7 +97,7 @@ class LoadedBody:
         return 0 if self.contact is None else self.contact.contacts
 
     @property
-    def rubs(self) -> bool:
+    def frictional(self) -> bool:
         """Return whether any contact has a positive coefficient of friction."""
         return self.friction is not None and bool(np.any(self.friction > 0))
 

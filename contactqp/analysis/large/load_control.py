@@ -109,7 +109,7 @@ class LoadControl:
         anchored = target
         if self.loaded.friction is not None and self.loaded.contact is not None:
             anchored = replace(target, anchor=self.loaded.contact.positions(displacement))
-        chosen = anchored if self.loaded.rubs else target
+        chosen = anchored if self.loaded.frictional else target
         balance = find_balance(self.loaded, displacement, self.loaded.no_forces(), chosen, self.settings)
         return large_solution(self.loaded, balance, anchored, t, self.settings)
 
@@ -131,7 +131,7 @@ class LoadControl:
 
     def _next(self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap]) -> LargeSolution:
         target = self.program.at(t)
-        if self.loaded.rubs and before.position is not None:
+        if self.loaded.frictional and before.position is not None:
             touching = (before.normal_force > 0) | (before.gap <= 0)
             balance, anchor = balance_with_anchors(
                 self.loaded,
@@ -151,7 +151,7 @@ class LoadControl:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
             if self.loaded.friction is not None:
                 target = replace(target, anchor=before.position)
-        if not self.loaded.rubs and (balance.shifted or self._crosses_barrier(before, balance)):
+        if not self.loaded.frictional and (balance.shifted or self._crosses_barrier(before, balance)):
             snap = None if self._is_slack(before) else self._jump(before, balance, t)
             if snap is not None:
                 snaps.append(snap)
@@ -365,77 +365,77 @@ def balance_with_anchors(
         return found, position
     far = np.where(closes, 1e3 * (abs(gap) + float(np.max(abs(gap)))), 0.0)
     free = LoadedBody(loaded.body, HeldOpen(loaded.contact, far), loaded.tie, loaded.friction)
-    way = [Passage(0.0, position, gap)]
+    passages = [Passage(0.0, position, gap)]
 
-    def pass_by(part: float) -> None:
+    def pass_at(part: float) -> None:
         now = solve_with(free, position, part).now
-        way.append(Passage(part, free.contact.positions(now.displacement), now.contact.gap - far))  # type: ignore[union-attr]
-        way.sort(key=lambda passage: passage.part)
+        passages.append(Passage(part, free.contact.positions(now.displacement), now.contact.gap - far))  # type: ignore[union-attr]
+        passages.sort(key=lambda passage: passage.part)
 
     try:
-        pass_by(1.0)
-        while len(way) < 2 + MOST_SAMPLES and (part := _next_part(way, np.flatnonzero(closes))) is not None:
-            pass_by(part)
+        pass_at(1.0)
+        while len(passages) < 2 + MOST_SAMPLES and (part := _next_part(passages, np.flatnonzero(closes))) is not None:
+            pass_at(part)
     except NotConverged:
-        if len(way) == 1:  # without the contact the body is not held, so that only its final position is known
-            way.append(Passage(1.0, loaded.contact.positions(found.now.displacement), found.now.contact.gap))
+        if len(passages) == 1:  # without the contact the body is not held, so that only its final position is known
+            passages.append(Passage(1.0, loaded.contact.positions(found.now.displacement), found.now.contact.gap))
     anchor = position.copy()
     for i in np.flatnonzero(closes):
-        anchor[i] = _landing(way, int(i))
+        anchor[i] = _landing(passages, int(i))
     return solve_with(loaded, anchor, 1.0), anchor
 
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """Where the contacts are at a part of a step, in the motion without those that close."""
+    """The positions and gaps that contacts have at a part of a step, in the motion without those that close."""
 
     part: float
     position: Array  # (m, d)
     gap: Vector  # (m,)
 
 
-def _bracket(way: Sequence[Passage], i: int) -> tuple[Passage, Passage]:
+def _bracket(passages: Sequence[Passage], i: int) -> tuple[Passage, Passage]:
     """Return the passages between which the gap of a contact vanishes first, the last two if it does not."""
-    closed = next((k for k in range(1, len(way)) if way[k].gap[i] <= 0), len(way) - 1)
-    return way[closed - 1], way[closed]
+    closed = next((k for k in range(1, len(passages)) if passages[k].gap[i] <= 0), len(passages) - 1)
+    return passages[closed - 1], passages[closed]
 
 
-def _landing(way: Sequence[Passage], i: int) -> Vector:
+def _landing(passages: Sequence[Passage], i: int) -> Vector:
     """Return the position at which the gap of a contact vanishes, along a straight line within its bracket."""
-    before, after = _bracket(way, i)
+    before, after = _bracket(passages, i)
     fall = max(float(before.gap[i] - after.gap[i]), TINY)
     fraction = min(max(float(before.gap[i]) / fall, 0.0), 1.0)
     return np.asarray(before.position[i] + fraction * (after.position[i] - before.position[i]))
 
 
-def _next_part(way: Sequence[Passage], closes: Any) -> float | None:
+def _next_part(passages: Sequence[Passage], closes: Any) -> float | None:
     """Return the part of the step to be computed next, at which the contact that is furthest from landing has landed
     by interpolation; None where all have, or none lands.
     """
     worst, furthest = LANDED, None
     for i in closes:
-        before, after = _bracket(way, i)
+        before, after = _bracket(passages, i)
         if before.gap[i] <= 0 or after.gap[i] > 0:
             continue
-        left = min(float(before.gap[i]), -float(after.gap[i])) / float(way[0].gap[i])
+        left = min(float(before.gap[i]), -float(after.gap[i])) / float(passages[0].gap[i])
         if left > worst:
             worst, furthest = left, i
     if furthest is None:
         return None
-    return _interpolated(way, furthest)
+    return _interpolated(passages, furthest)
 
 
-def _interpolated(way: Sequence[Passage], i: int) -> float | None:
+def _interpolated(passages: Sequence[Passage], i: int) -> float | None:
     """Return the part at which the gap of a contact vanishes by interpolation (Chandrupatla 1997), None if its bracket
     cannot be divided.
 
     Parts are a parabola over the gaps of the bracket and of a neighbour where it is monotonic, and else the bracket is
     halved; between the ends of a step they are a line.
     """
-    before, after = _bracket(way, i)
-    k = way.index(before)
-    ends = [(before, after, way[k - 1])] if k else []
-    ends += [(after, before, way[k + 2])] if k + 2 < len(way) else []
+    before, after = _bracket(passages, i)
+    k = passages.index(before)
+    ends = [(before, after, passages[k - 1])] if k else []
+    ends += [(after, before, passages[k + 2])] if k + 2 < len(passages) else []
     part = (before.part + after.part) / 2
     if not ends:
         part = float(before.gap[i] / (before.gap[i] - after.gap[i]))
