@@ -6,7 +6,7 @@ L_T the larger of its tangential rows. A normal velocity is measured as its size
 a normal force as w_N |r| / L_N and friction as w_T |r| / L_T, w_N = W_NN and w_T the largest |entry| of W_TT of the
 contact alone; 0/0 is 0. So a large slip hides no overlap, and a distant contact no other one: only values below 1e-12
 of the largest driving or responding velocity (roots of energies, without offsets of open contacts) count as zero. All
-measures survive a change of units and common scaling of a contact's rows, the natural map too (`scaled_natural_map`);
+measures survive a change of units and common scaling of a contact's rows, the natural map too (`_natural_map`);
 the published errors do not, and are not part of the verdict.
 
 Uniqueness is examined by the Delassus operator and the states of contacts. Velocities:
@@ -354,18 +354,13 @@ def contact_figures(problem: LocalProblem, force: ArrayLike, joint_force: ArrayL
     return {name: getattr(measured, name) for name in FIGURES if name != "joints"}
 
 
-def scaled_natural_map(problem: LocalProblem, force: Array, joint_force: Vector) -> float:
+def _natural_map(problem: LocalProblem, force: Array, velocity: Array, met: Array) -> float:
     """Return the largest |n_i| over the largest |s_i q_i| or load of a joint, n = r - P_K(r - u - mu |u_T| e_N).
 
     |n_i| is the `distance_from_law`. Forces r_i / s_i and velocities s_i u_i are roots of energies, s the problem's
     `contact_scale`: no contact's own unit changes them. With no offset and no load at all it is relative to the
-    velocities that meet.
+    velocities that meet, `met` (m, d).
     """
-    met = _meeting(problem, force, joint_force).reshape(force.shape)
-    return _natural_map(problem, force, velocity_of(problem, force, joint_force), met)
-
-
-def _natural_map(problem: LocalProblem, force: Array, velocity: Array, met: Array) -> float:
     scale = problem.contact_scale[:, None]
     missed = distance_from_law(force / scale, scale * velocity, problem.friction)
     drive = (scale * problem.offset.reshape(force.shape), problem.bilateral_offset * problem.joint_scale)

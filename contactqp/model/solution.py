@@ -226,7 +226,7 @@ def _together(reasons: Iterable[str]) -> Iterator[str]:
 class LocalCertificate(ReadOnly, Printed):
     """The verdict on forces: the worst violation of any contact, and published errors; `passed` judges the former."""
 
-    natural_map: float  # `scaled_natural_map`, each contact scaled to a compliance of one
+    natural_map: float  # the residual of the law of contact and friction, each contact scaled to a compliance of one
     siconos_error: float  # `siconos_local_error`, W and q as given; no part of the verdict
     penetration: float  # (-u_N)+ as a velocity
     tension: float  # (-r_N)+ as a force
