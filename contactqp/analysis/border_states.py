@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.analysis.rate_data import (
-    SAME,
+    SAME_RATE,
     Direction,
     NoRates,
     Parts,
@@ -62,7 +62,7 @@ ALIGNED = 1e-3
 # Slips in space below this part of the lengths at the contact are computed beyond double precision.
 TURNED = 1e-3
 # The nominal length of a beginning slip, large enough that its direction does not change.
-FAR = 1e100
+NOMINAL_SLIP = 1e100
 # The assumed error of beginning slips before their directions have converged.
 COARSE = 1e-6
 # The most iterations of the directions of beginning slips, and their tolerance.
@@ -249,7 +249,7 @@ def sticking_at_bound(problem: ContactProblem, status: Status, push: Vector, dra
     """
     if not problem.frictional or problem.friction is None:
         return np.zeros(0, dtype=np.intp)
-    return np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push))
+    return np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - SAME_RATE) * problem.friction * push))
 
 
 def decided_in_space(
@@ -291,7 +291,7 @@ def decided_in_space(
         rounded = np.sqrt(sp.csr_array(problem.normal).power(2) @ unit**2) * np.max(u / unit, initial=0.0)
         apart = gap > AT_BORDER * (met + rounded)
     grazing = grazing[~apart[grazing]]
-    near = (status == STICK) & (lengths(drag) >= (1 - SAME) * problem.friction * push)
+    near = (status == STICK) & (lengths(drag) >= (1 - SAME_RATE) * problem.friction * push)
     turned = lengths(slip * lengths(drag)[:, None] - drag * slid[:, None])
     status[near & ~still & (turned <= ALIGNED * lengths(drag) * slid)] = SLIP_ON
     at_bound = np.flatnonzero((status == STICK) & (lengths(drag) >= (1 - AT_BORDER) * problem.friction * push))
@@ -492,7 +492,7 @@ class Borders:
         unit, of_normal, _, _ = self.scales.units
         push = abs(found.normal_force * of_normal)
         whole = max(np.max(push, initial=0.0), np.max(abs(found.displacement) / unit, initial=0.0))
-        nothing = np.array(SAME * whole)
+        nothing = np.array(SAME_RATE * whole)
         if found.bound is not None:
             rounded = direction.strained.any() or direction.turned.any() or direction.friction.any()
             nothing = self.signs(found, direction, system, errors=True) + (RATE_EPS * whole if rounded else 0.0)

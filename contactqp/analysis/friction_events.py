@@ -28,7 +28,7 @@ from contactqp.analysis.history import JUMPS, SIMULTANEOUS, STEADY, Event
 from contactqp.certificate.certificate import holds
 from contactqp.errors import NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported
 from contactqp.linalg.condensation import condense
-from contactqp.linalg.friction_states import SINGULAR, answer_in
+from contactqp.linalg.friction_states import SINGULAR_STATES, answer_in
 from contactqp.model.arrays import Array, Indices, Mask, Vector, refuse_late
 from contactqp.model.coulomb import (
     OPEN,
@@ -49,7 +49,7 @@ from contactqp.solving.friction.newton import combination_of, suggested, without
 # Violations of rates below this part of the largest are rounding, with lengths and forces in sqrt(energy).
 STEADY_RATE = 1e-11
 # Gaps, forces and margins below this part of the largest are zero.
-NOTHING = 1e-12
+ZERO_PART = 1e-12
 # Violations above this part exceed rounding of the data; nonexistence requires this of all combinations.
 CLEARLY = 1e-8
 # Rates that leave this part of the load's rate unbalanced are no solution, as those of a singular system with a driven
@@ -185,7 +185,7 @@ class ExactPath:
             raise NotConverged(unproven)
         self.answer = without_idle_friction(self.system, least)
         try:
-            standing = self._standing(self._margins(self.answer).value <= NOTHING * size)
+            standing = self._standing(self._margins(self.answer).value <= ZERO_PART * size)
             return standing, continuation(self.system, rates, standing, self._problem, at)
         except NoEquilibrium:
             raise NotConverged(unproven) from None
@@ -199,9 +199,9 @@ class ExactPath:
 
         system, rows, m, answer = self.system, self.system.rows, self._problem.contacts, self.answer
         _, values, rotation = np.linalg.svd(system.matrix(self.status))
-        free = rotation[values <= SINGULAR * values[0]].T
+        free = rotation[values <= SINGULAR_STATES * values[0]].T
         end = 2 * m + self._problem.ties
-        if not free.shape[1] or np.any(abs(free[end:]) > SINGULAR):
+        if not free.shape[1] or np.any(abs(free[end:]) > SINGULAR_STATES):
             return None
         push, drag = free[:m], free[m : 2 * m]
         bound, margins = system.coefficient[:, None] * push, self._margins(answer)
@@ -263,7 +263,7 @@ class ExactPath:
     def _standing(self, hit: Mask) -> Standing:
         """Return the undecided contacts: those that reached a zero, and those whose values are zero."""
         margins = self._margins(self.answer)
-        zero = margins.kept & (hit | (margins.value <= NOTHING * self._sizes(margins.value)))
+        zero = margins.kept & (hit | (margins.value <= ZERO_PART * self._sizes(margins.value)))
         closed, stuck = self.status != OPEN, self.status == STICK
         null = np.where(closed, zero[1], zero[0])
         at_edge = np.where(zero[2], 1, np.where(zero[3], -1, 0))
@@ -275,7 +275,7 @@ class ExactPath:
         margins, slope = self._margins(self.answer), self._margins(rate, rates=True).value
         decided = standing.null | (standing.edge != 0)
         # A margin that was just decided does not decrease.
-        at_zero = margins.value <= 10 * NOTHING * self._sizes(margins.value)
+        at_zero = margins.value <= 10 * ZERO_PART * self._sizes(margins.value)
         falls = margins.kept & (slope < -STEADY * self._sizes(slope)) & ~(decided & at_zero)
         ahead = np.full(slope.shape, np.inf)
         ahead[falls] = np.maximum(margins.value[falls], 0.0) / -slope[falls]
@@ -318,7 +318,7 @@ class ExactPath:
             return ""
         length = abs(self.anchor) + abs(origin[:, 0])
         # A contact with a force at the start has slipped to its position.
-        off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > NOTHING * length)
+        off = (gap <= 0) & (self.answer.normal_force <= 0) & (abs(self.anchor - origin[:, 0]) > ZERO_PART * length)
         if not np.any(off & (self.system.coefficient > 0)):
             return ""
         i = int(np.argmax(off))

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from contactqp.analysis.border_states import MOST_COMBINATIONS, Borders
 from contactqp.analysis.rate_data import (
     REDUNDANT,
-    SAME,
+    SAME_RATE,
     SINGULAR,
     Direction,
     NoAnswer,
@@ -39,7 +39,7 @@ from contactqp.analysis.rate_data import (
     parts_from,
 )
 from contactqp.analysis.rate_systems import RateSystem
-from contactqp.analysis.shared_forces import NOTHING, Cones, Group
+from contactqp.analysis.shared_forces import NO_CHANGE, Cones, Group
 from contactqp.analysis.slip_law import StateMargins, falls, steps_to_events
 from contactqp.linalg.nonnegative import CARRIES, DEPENDENT_ROWS, width_within
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
@@ -76,7 +76,7 @@ class FrictionSharing:
         self._forces = self._cones.forces(answer)
         left, sizes, _ = np.linalg.svd(np.asarray(np.linalg.qr(self._cones.rows.T, mode="r")).T, full_matrices=True)
         null = left[:, int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0))) :]
-        self.null = np.where(abs(null) > NOTHING, null, 0.0)
+        self.null = np.where(abs(null) > NO_CHANGE, null, 0.0)
         self._groups = [Group(self._cones, self._forces, places) for places in self._places()]
         self.members = np.array(sorted(i for group in self._groups for i in group.contacts), dtype=np.intp)
         self._choices = [group.choices() for group in self._groups]
@@ -84,7 +84,7 @@ class FrictionSharing:
 
     def _places(self) -> Iterator[Indices]:
         """Yield the indices of dependent rows, group by group."""
-        projector = abs(self.null @ self.null.T) > NOTHING
+        projector = abs(self.null @ self.null.T) > NO_CHANGE
         same = (self._cones.owners[:, None] == self._cones.owners[None, :]) & np.any(projector, axis=1)[:, None]
         _, of = connected_components(sp.csr_array(projector | same), directed=False)
         for group in np.unique(of[np.any(projector, axis=1)]):
@@ -95,7 +95,7 @@ class FrictionSharing:
         zero = Direction.zero(self._problem)
         for part in [] if system.regular else system.unresolved():
             rates = system.of_parts(zero, part, None, zero.slip_origin)
-            if np.max(abs(self.scales.of("displacement", rates.displacement))) > NOTHING * self.scales.largest(rates):
+            if np.max(abs(self.scales.of("displacement", rates.displacement))) > NO_CHANGE * self.scales.largest(rates):
                 return True
         return False
 
@@ -200,7 +200,7 @@ class FrictionSharing:
                 blocks = sp.block_diag([sp.csr_array(one) for one in across], format="csr")
                 parts.append((problem.tangent.T @ blocks @ problem.tangent).toarray())
                 whole.append((abs(problem.tangent).T @ abs(blocks) @ abs(problem.tangent)).toarray())
-            if any(np.any(abs(x) > NOTHING * np.max(y, initial=0.0)) for x, y in zip(parts, whole, strict=True)):
+            if any(np.any(abs(x) > NO_CHANGE * np.max(y, initial=0.0)) for x, y in zip(parts, whole, strict=True)):
                 return False
         return True
 
@@ -285,7 +285,7 @@ class FrictionSharing:
         """Return whether contacts that share forces keep their states at rates along a direction."""
         gaps = self.scales.of("gap", rates.gap)
         slips = self.scales.of("slip", rates.slip)
-        nothing = SAME * self.scales.largest(rates)
+        nothing = SAME_RATE * self.scales.largest(rates)
         for i in self.members:
             if status[i] == OPEN and gaps[i] < -nothing:
                 return False

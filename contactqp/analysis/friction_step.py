@@ -44,7 +44,7 @@ MOST_FAILED = 2
 # The most halvings of a step towards a load that is carried without the closing contacts.
 HALVINGS = 30
 # Gaps below this part of the lengths at the contact are rounding.
-TOUCHING = 1e-12
+GAP_ROUNDING = 1e-12
 # Slips below this part of the lengths at the contact are rounding.
 STILL = EPS
 # The factor by which gaps of contacts held open are widened if a solver cannot omit contacts, repeatedly if one still
@@ -52,7 +52,7 @@ STILL = EPS
 WIDENED = 1e3
 WIDENINGS = 3
 # Displacements that differ by less than this part of the largest are equal.
-SAME = 1e-8
+SAME_DISPLACEMENT = 1e-8
 # Positions are refined if contacts would move so many times as far without their forces, by cancellation.
 CANCELS = 100.0
 
@@ -325,9 +325,9 @@ class PlaneStepper:
         status, gap = found.status, found.gap * rows.normal_length
         m = len(status)
         lengths = (step.lengths.free[: 2 * m], step.lengths.target[: 2 * m], found.gap, found.slip)
-        rounding = TOUCHING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
+        rounding = GAP_ROUNDING * max(float(np.max(abs(part), initial=0.0)) for part in lengths)
         position = origin[:, 0] + found.slip * rows.tangent_length
-        pushes = found.normal > TOUCHING * step.lengths.felt(status)
+        pushes = found.normal > GAP_ROUNDING * step.lengths.felt(status)
         moved = abs(step.lengths.target[: 2 * m] + np.concatenate([-found.gap, found.slip]))
         most = float(np.max(moved[np.isfinite(moved)], initial=0.0))
         return State(
@@ -340,7 +340,7 @@ class PlaneStepper:
             overlap=held_open & (found.gap < -rounding),
             step=step,
             origin=origin,
-            still=(STILL / TOUCHING * rounding * rows.tangent_length)[:, None],
+            still=(STILL / GAP_ROUNDING * rounding * rows.tangent_length)[:, None],
             cancelled=bool(np.max(abs(lengths[0]), initial=0.0) > CANCELS * most),
         )
 
@@ -390,7 +390,7 @@ class SolveStepper:
             return state
         self._before = solution = self._solved(found.problem.replace(gap=gap), found)
         size = np.max(abs(found.displacement), initial=0.0)
-        if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME * size:
+        if np.max(abs(solution.displacement - found.displacement), initial=0.0) > SAME_DISPLACEMENT * size:
             raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
         return replace(state, step=SolvedStep(solution))
 
@@ -482,7 +482,7 @@ def _state_of(problem: ContactProblem, solution: Solution, fraction: float, held
     gap = problem.gap - problem.normal @ u
     largest = float(np.max(np.sqrt(problem.diagonal) * abs(u), initial=0.0))
     nearby = np.sqrt(own_compliance(problem, problem.normal)) * largest
-    rounding = TOUCHING * (row_sizes(problem, problem.normal).lengths(abs(u)) + abs(problem.gap) + nearby)
+    rounding = GAP_ROUNDING * (row_sizes(problem, problem.normal).lengths(abs(u)) + abs(problem.gap) + nearby)
     along = row_sizes(problem, problem.tangent).lengths(abs(u))
     still = STILL * (along + np.sqrt(own_compliance(problem, problem.tangent)) * largest)
     pushes = solution.normal_force > 0

@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.rate_data import ROUNDED, SAME, SINGULAR, Direction, NoRates, Parts, Rates, errors_of
+from contactqp.analysis.rate_data import EXTENDED_EPS, SAME_RATE, SINGULAR, Direction, NoRates, Parts, Rates, errors_of
 from contactqp.analysis.rates import Linearised
 from contactqp.analysis.slip_law import times
 from contactqp.certificate.certificate import certificate_of
@@ -275,15 +275,17 @@ def _whole_weights(linearised: Linearised, of: str, weights: Array) -> tuple[tup
         reaction = extend(problem.load) - exact.stiffness @ known.extended[0]
         u = reaction.spread(np.full((len(reaction), 1), -float(weights)))
         whole = abs(known.extended[0].hi)
-        unknown = known.remainder * unknown_scale(problem) / ROUNDED + whole
+        unknown = known.remainder * unknown_scale(problem) / EXTENDED_EPS + whole
         rest = float(size) * (abs(problem.load) + problem.stiffness_sizes @ unknown)
     elif linearised.system is not None and problem.tangent is not None:
         law, given = linearised.system.law, extend(weights.ravel())
         normal, u = times(Extended(law.coefficient), law.along(given)), exact.friction_force(law.turned(given))
         turned = np.repeat(law.error_of_turned(weights), weights.shape[1])
-        lacks = law.error_of_dragged(np.linalg.norm(weights, axis=1)) + ROUNDED * law.coefficient * size.sum(axis=1)
+        lacks = law.error_of_dragged(np.linalg.norm(weights, axis=1)) + EXTENDED_EPS * law.coefficient * size.sum(
+            axis=1
+        )
         return (u, normal), replace(zero, displacement=abs(problem.tangent).T @ turned, normal=lacks)
-    return (u, normal), replace(zero, displacement=ROUNDED * rest)
+    return (u, normal), replace(zero, displacement=EXTENDED_EPS * rest)
 
 
 def _by_law(
@@ -369,7 +371,7 @@ def are_same(linearised: Linearised, of: str, sides: tuple[Rates, Rates], direct
     solution = linearised.solution
     size = abs(value_of(solution, "reaction")) @ (abs(back.displacement) + abs(ahead.displacement))
     left, right = (energy_of_rates(linearised, side, direction)[0] for side in sides)
-    return bool(abs(left - right) <= SAME * (size + abs(solution.displacement) @ abs(direction.load)))
+    return bool(abs(left - right) <= SAME_RATE * (size + abs(solution.displacement) @ abs(direction.load)))
 
 
 def _same_on_supports(linearised: Linearised, back: Rates, ahead: Rates) -> bool:
@@ -381,7 +383,7 @@ def _same_on_supports(linearised: Linearised, back: Rates, ahead: Rates) -> bool
     _, normal, tangent, _ = scales.units
     apart = abs(back.friction_force - ahead.friction_force) * normal[:, None]
     largest = max(scales.largest(back), scales.largest(ahead))
-    return bool(np.all(apart[(tangent == 0).reshape(apart.shape)] <= SAME * largest))
+    return bool(np.all(apart[(tangent == 0).reshape(apart.shape)] <= SAME_RATE * largest))
 
 
 def _summed(*products: tuple[Vector, Vector, Vector, Vector]) -> tuple[float, float]:

@@ -24,9 +24,9 @@ VECTORS = ("load", "gap", "tie_value", "friction", "slip_origin")
 # The quantities whose rates determine sizes; gaps and reactions are sums whose terms may cancel.
 MEASURED = ("displacement", "normal_force", "friction_force", "tie_force")
 # Rates that differ by less than this part of the largest, in the square root of energy, are equal.
-SAME = 1e-9
+SAME_RATE = 1e-9
 # The relative error of sums of products in twice double precision.
-ROUNDED = 2.0**-92
+EXTENDED_EPS = 2.0**-92
 # The most contacts named in a reason.
 SHOWN = 5
 # Reasons why there are no rates.
@@ -190,7 +190,7 @@ class Scales:
     def _apart(self, of: str, one: Rates, other: Rates) -> float:
         """Return the difference of rates of a quantity beyond rounding of all rates, in the square root of energy."""
         difference = self.of(of, getattr(one, of) - getattr(other, of))
-        return float(np.max(abs(difference), initial=0.0)) - SAME * max(self.largest(one), self.largest(other))
+        return float(np.max(abs(difference), initial=0.0)) - SAME_RATE * max(self.largest(one), self.largest(other))
 
     def largest(self, rates: Rates) -> float:
         """Return the largest of the rates of displacements and forces, in the square root of energy."""
@@ -433,8 +433,8 @@ def _gaps_of(problem: ContactProblem, known: Solved) -> tuple[Vector, Vector]:
     """Return the gaps (m,) of an answer, 0 for infinite ones, and their errors after refinement."""
     u = known.extended[0]
     given = np.where(np.isfinite(problem.gap), problem.gap, 0.0)
-    moved = known.remainder * unknown_scale(problem) + ROUNDED * abs(u.hi)
-    nothing = abs(problem.normal) @ moved + ROUNDED * abs(given)
+    moved = known.remainder * unknown_scale(problem) + EXTENDED_EPS * abs(u.hi)
+    nothing = abs(problem.normal) @ moved + EXTENDED_EPS * abs(given)
     return (extend(given) - extended_rows(problem).normal @ u).double(), nothing
 
 
@@ -478,7 +478,7 @@ def all_held(
         (problem.tie, exact.tie @ u, data.tie, np.arange(problem.ties)),
     ):
         if rows is not None and len(where):
-            nothing = (abs(rows) @ moved + ROUNDED * abs(given)) * (ROUNDED_AWAY / INVISIBLE)
+            nothing = (abs(rows) @ moved + EXTENDED_EPS * abs(given)) * (ROUNDED_AWAY / INVISIBLE)
             if np.any(abs((extend(given) - held).double()[where]) > nothing[where]):
                 return False
     return True

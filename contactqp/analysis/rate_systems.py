@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.analysis.rate_data import (
-    ROUNDED,
+    EXTENDED_EPS,
     Direction,
     Parts,
     Rates,
@@ -273,7 +273,7 @@ class RateSystem:
 
     def _holds(self, solved: Solved, right: Parts) -> bool:
         """Return whether a solution satisfies all closed and sticking rows to twice double precision."""
-        left = min(solved.remainder, np.finfo(float).max) * self._unit + ROUNDED * abs(solved.extended[0].hi)
+        left = min(solved.remainder, np.finfo(float).max) * self._unit + EXTENDED_EPS * abs(solved.extended[0].hi)
         return all_held(self._problem, solved.extended[0], left, right, (self.closed, self.stuck))
 
     def answer(self) -> Solved:
@@ -323,9 +323,9 @@ class RateSystem:
         if not (frictional.regular and np.isfinite(solved.remainder)):
             return replace(solved, bound=None, remainder=np.inf)
         u, normal = solved.extended[:2]
-        moved = solved.remainder * self._unit + ROUNDED * abs(u.hi)
-        off_slip = (abs(problem.tangent) @ moved + ROUNDED * abs(origin)).reshape(self.directions.shape)
-        off_push = self._forces(solved.remainder, 0) + ROUNDED * abs(normal.hi)
+        moved = solved.remainder * self._unit + EXTENDED_EPS * abs(u.hi)
+        off_slip = (abs(problem.tangent) @ moved + EXTENDED_EPS * abs(origin)).reshape(self.directions.shape)
+        off_push = self._forces(solved.remainder, 0) + EXTENDED_EPS * abs(normal.hi)
         law = SlipLaw.at(coefficient, self.status, slip_of(u), normal, np.linalg.norm(off_slip, axis=1), off_push)
         if not law.is_known:
             return replace(solved, bound=None, remainder=np.inf)
@@ -354,7 +354,7 @@ class RateSystem:
         if not np.isfinite(known.remainder):
             return replace(solved, bound=None), None, None
         ends = known.remainder * self._unit, self._forces(known.remainder, 0)
-        left_u, left_push = (end + ROUNDED * abs(one.hi) for end, one in zip(ends, (u, push), strict=True))
+        left_u, left_push = (end + EXTENDED_EPS * abs(one.hi) for end, one in zip(ends, (u, push), strict=True))
         load, gap, strained = extend(direction.load), extend(direction.gap), extend(direction.strained)
         rest_load, rest_gap = np.zeros_like(left_u), np.zeros_like(left_push)
         if (dK := direction.stiffness) is not None:
@@ -372,7 +372,7 @@ class RateSystem:
             rest_load = rest_load + abs(problem.tangent).T @ np.repeat(spread, own.shape[1])
         inexact = direction.by_answer or bool(own.any())
         if inexact:
-            rest_load, rest_gap = rest_load + ROUNDED * abs(load.hi), rest_gap + ROUNDED * abs(gap.hi)
+            rest_load, rest_gap = rest_load + EXTENDED_EPS * abs(load.hi), rest_gap + EXTENDED_EPS * abs(gap.hi)
             low = (load - data.displacement).double(), (gap - data.normal).double()
             zero = Parts.zero(problem)
             rest = replace(zero, displacement=rest_load, normal=rest_gap)
@@ -398,7 +398,7 @@ class RateSystem:
         slip = self._exact.slip(u)
         friction = (tangent + law.dragged(normal) + law.turned(slip) + own).double().reshape(self.directions.shape)
         slips, remainder = slip.double().reshape(friction.shape), min(solved.remainder, np.finfo(float).max)
-        moved = (abs(problem.tangent) @ (remainder * self._unit + ROUNDED * abs(u.hi))).reshape(friction.shape)
+        moved = (abs(problem.tangent) @ (remainder * self._unit + EXTENDED_EPS * abs(u.hi))).reshape(friction.shape)
         unknown = law.error_of_dragged(normal.hi) + law.error_of_turned(slips)
         return friction, unknown + abs(law.turns.hi) * np.linalg.norm(moved, axis=1)
 

@@ -24,7 +24,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from contactqp.analysis.border_states import (
-    FAR,
+    NOMINAL_SLIP,
     RATE_EPS,
     Borders,
     decided,
@@ -37,7 +37,7 @@ from contactqp.analysis.border_states import (
 from contactqp.analysis.friction_sharing import SEEN, FrictionSharing, among_states, on_sides, states_hold
 from contactqp.analysis.rate_data import (
     REDUNDANT,
-    SAME,
+    SAME_RATE,
     SINGULAR,
     Direction,
     NoRates,
@@ -224,7 +224,7 @@ class Linearised:
             slip[free], push[free] = rates.slip[free], rates.normal_force[free]
         if len(begins):
             along = self._drag[begins] / lengths(self._drag[begins])[:, None]
-            slip[begins] = FAR * along
+            slip[begins] = NOMINAL_SLIP * along
             across = np.column_stack([-along[:, 1], along[:, 0]])
             problem = slips_across(problem, begins, across)
         answer = Parts(self._answer.displacement, push, slip, np.concatenate([self._answer.tie, np.zeros(len(begins))]))
@@ -448,7 +448,7 @@ class Linearised:
         carrying, known = found
         turned = 0.0 if direction.rows is None else -(direction.rows.T @ known.found.normal)
         turns, whole = self.scales.of("gap", rates.gap), self.scales.largest(rates)
-        may = self._touching[abs(turns[self._touching]) <= SAME * whole]
+        may = self._touching[abs(turns[self._touching]) <= SAME_RATE * whole]
         joining = self._sharing.joining(rates.reaction + turned, carrying, may)
         system = self._system(closed_on(self.problem, np.union1d(carrying, joining).astype(np.intp)))
         sides, margin = (joining, np.setdiff1d(self._touching, system.closed)), 0.0
@@ -471,7 +471,7 @@ class Linearised:
         """
         if self.redundant:
             turns, whole = self.scales.of("gap", sign * rates.gap), self.scales.largest(rates)
-            members = self._touching[turns[self._touching] <= SAME * whole]
+            members = self._touching[turns[self._touching] <= SAME_RATE * whole]
             moved = abs(self.problem.normal) @ abs(rates.displacement)
             rounded = (abs(rates.gap) <= RATE_EPS * moved) | (abs(turns) <= INVISIBLE * whole)
             gap = np.where(rounded, 0.0, sign * rates.gap)

@@ -29,7 +29,7 @@ from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, num
 from contactqp.model.problem import ContactProblem
 
 # The tolerances below which unit rows and changes of forces are zero.
-NOTHING = 1e-9
+NO_CHANGE = 1e-9
 # The least step along a direction, relative to the force, to which a group must be able to exert it; and the least
 # share of each ray, relative to the largest, for forces strictly inside the cones.
 GOES_ON = 1e-6
@@ -191,7 +191,7 @@ class Group:
         for i in self.contacts:
             rows = np.array([cones.normal[i], *cones.tangent[i]])
             change += self._basis @ rows.T @ np.append(rates.normal_force[i], rates.friction_force[i]) * of_normal[i]
-        told = np.max(abs(change), initial=0.0) > NOTHING * cones.scales.largest(rates)
+        told = np.max(abs(change), initial=0.0) > NO_CHANGE * cones.scales.largest(rates)
         return np.where(told, change, 0.0)
 
     def goes_on(self, choice: Choice, rates: Rates, friction: Vector) -> bool:
@@ -317,7 +317,7 @@ class Group:
             parts |= given_rows(kind, np.column_stack([rows, room]), np.array([x / most for _, x in pairs]))
         cost = np.append(np.zeros(len(self._basis)), -1.0)
         found = highs(cost, bounds=[(None, None)] * len(self._basis) + [(0.0, 1.0)], **parts)
-        return found is not None and (not begin or float(found.x[-1]) > NOTHING)
+        return found is not None and (not begin or float(found.x[-1]) > NO_CHANGE)
 
 
 def _combined(turn: Vector, pairs: list[tuple[Array, float]]) -> tuple[Array, float]:
@@ -327,9 +327,9 @@ def _combined(turn: Vector, pairs: list[tuple[Array, float]]) -> tuple[Array, fl
 
 def _same_span(one: Array, other: Array) -> bool:
     """Return whether rows of unit length span the same space."""
-    ranks = {np.linalg.matrix_rank(rows, tol=NOTHING) if len(rows) else 0 for rows in (one, other)}
+    ranks = {np.linalg.matrix_rank(rows, tol=NO_CHANGE) if len(rows) else 0 for rows in (one, other)}
     both = [rows for rows in (one, other) if len(rows)]
-    return len(ranks) == 1 and (not both or np.linalg.matrix_rank(np.concatenate(both), tol=NOTHING) in ranks)
+    return len(ranks) == 1 and (not both or np.linalg.matrix_rank(np.concatenate(both), tol=NO_CHANGE) in ranks)
 
 
 def _directions(angles: Any) -> Array:

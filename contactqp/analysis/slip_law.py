@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from contactqp.analysis.rate_data import ROUNDED, Parts, shape_of_tangents
+from contactqp.analysis.rate_data import EXTENDED_EPS, Parts, shape_of_tangents
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import saddle_point
@@ -75,9 +75,9 @@ class SlipLaw:
         part = off_slip / size
         weak = off_push > LARGEST_ERROR * abs(push.hi)
         of_push = np.divide(2 * off_push, abs(push.hi), out=np.zeros_like(part), where=~weak & (push.hi != 0))
-        off_turns = 2 * part + of_push + ROUNDED
+        off_turns = 2 * part + of_push + EXTENDED_EPS
         unknown = slides & (coefficient > 0) & (~moves | (part > LARGEST_ERROR) | weak)
-        off = np.where(unknown, np.inf, np.where(moves, 2 * part + ROUNDED, 0.0))
+        off = np.where(unknown, np.inf, np.where(moves, 2 * part + EXTENDED_EPS, 0.0))
         return cls(coefficient, directions, turns, off, off_turns)
 
     def with_slips(self, contacts: Indices, directions: Array, turns: Vector, off: Vector) -> SlipLaw:

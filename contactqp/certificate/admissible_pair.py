@@ -71,7 +71,7 @@ def least_forces(rows: Array, ties: Array, resultant: Vector) -> Vector | None:
 
 # Gaps relative to their lengths, and forces relative to the largest, that count as zero in a candidate of engineering
 # accuracy.
-TOUCHING = 1e-6
+ENGINEERING_ZERO = 1e-6
 # Sweeps of refinement that close contacts; each reduces the residual by eps * condition number.
 CLOSING_SWEEPS = 4
 # A gap below this part of its lengths is zero also in extended precision.
@@ -173,10 +173,10 @@ def believed_sets(problem: ContactProblem, answer: Answer, compliance: Vector) -
     """Return the sets of contacts closed by gap and by force, if they differ; `compliance` (m,) is W_ii."""
     u, force = answer.displacement, answer.normal_force
     length = lengths_that_meet(problem, problem.normal, problem.gap, u)
-    touching = np.flatnonzero(problem.gap - problem.normal @ u <= TOUCHING * length)
+    touching = np.flatnonzero(problem.gap - problem.normal @ u <= ENGINEERING_ZERO * length)
     size = force * np.sqrt(compliance)
-    pushing = np.flatnonzero(size > TOUCHING * abs(size).max(initial=0.0))
-    acting = np.flatnonzero(abs(size) > TOUCHING * abs(size).max(initial=0.0))  # possibly of the wrong sign
+    pushing = np.flatnonzero(size > ENGINEERING_ZERO * abs(size).max(initial=0.0))
+    acting = np.flatnonzero(abs(size) > ENGINEERING_ZERO * abs(size).max(initial=0.0))  # possibly of the wrong sign
     return touching, pushing, acting
 
 

@@ -62,7 +62,7 @@ from contactqp.model.solution import FIGURES, GLOBALLY, Answer, Certificate, Vio
 # exact zeros: 1e-12 by default, and 1e-9 for an answer printed with seven digits and judged at 1e-6.
 ROUNDING_OF_ANSWERS = 1e-3
 # Where K is singular and the bound on the relative error exceeds this, bounds by the energy are tried as well.
-FAR = 1e-6
+WIDE_BOUND = 1e-6
 NO_ROUNDING = 1e-9  # a gap above this part of the largest length cannot be the rounding of other lengths
 # Largest figure that `holds` accepts, and the part of the intrinsic size that it counts as zero. Both are tighter than
 # those of the certificate, because rounding may add to them.
@@ -433,7 +433,7 @@ def _basis(
     known = problem._computed.condensation if factorization is None else _matching(problem, factorization)
     condensation = known or condense(problem)
     bounds = error_bounds(problem, answer, residual, condensation, bounds_by_energy)
-    far = FAR if condensation.rigid.count else np.finfo(float).max
+    far = WIDE_BOUND if condensation.rigid.count else np.finfo(float).max
     if bounds.suspicious is not None or (bounds.energy_error is not None and bounds.energy_error > far):
         bounds = bounds_by_energy(problem, answer, bounds, condensation.rigid)
     return _Basis(systems, residual, bounds, condensation.rigid, condensation)

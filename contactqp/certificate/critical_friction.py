@@ -39,7 +39,7 @@ MOST_UNKNOWNS = 2000
 # 4^6 determinants take a tenth of a second, once for a stiffness.
 MOST_COMBINED = 6
 # A determinant below this part of the product of its rows' lengths may be zero.
-SINGULAR = 1e-12
+ZERO_DETERMINANT = 1e-12
 # The relative compliance of a slip that supports prevent.
 UNFELT = 1e-9
 # The number of halvings of a radius that are tried.
@@ -218,7 +218,7 @@ def of_operator(
     own = blocks[np.arange(m), :, np.arange(m), :]
     coupling = np.linalg.norm(own[:, 0, 1:], axis=1)
     # Coupling below the rounding of the block counts as zero.
-    coupled = coupling > SINGULAR * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
+    coupled = coupling > ZERO_DETERMINANT * np.sqrt(own[:, 0, 0] * np.max(np.einsum("ijj->ij", own[:, 1:, 1:]), axis=1))
     single = np.divide(own[:, 0, 0], coupling, out=np.full(m, np.inf), where=coupled)
     kappa = np.inf if floats or not symmetric else _kappa(blocks, mu)
     unique, examined = kappa * (1 + rounding) < 1.0, KAPPA
@@ -245,7 +245,7 @@ def _kappa(blocks: Array, mu: Vector) -> float:
     except np.linalg.LinAlgError:
         return np.inf
     pivots = factor.diagonal() ** 2
-    if (pivots / W.diagonal()).min() < SINGULAR:
+    if (pivots / W.diagonal()).min() < ZERO_DETERMINANT:
         return np.inf
     if not len(frictional):
         return 0.0  # NumPy before 2.3 has no norm of empty arrays
@@ -292,7 +292,7 @@ def system_matrices(W: Array, mu: Vector, status: Status) -> Array:
     return matrices.reshape(len(status), 2 * m, 2 * m)
 
 
-def regular(matrices: Array, rounding: float = SINGULAR) -> Mask:
+def regular(matrices: Array, rounding: float = ZERO_DETERMINANT) -> Mask:
     """Return which of the matrices (c, q, q) have a determinant beyond rounding of their rows."""
     _, size = np.linalg.slogdet(matrices)
     lengths = np.sum(np.log(np.maximum(np.linalg.norm(matrices, axis=2), TINY)), axis=1)
@@ -312,7 +312,7 @@ def _one_sign(W: Array, mu: Vector, rounding: float) -> bool:
     if np.any(np.linalg.slogdet(matrices)[0] <= 0):
         return False
     # A determinant may be small by many small eigenvalues and still have a certain sign.
-    doubtful = matrices[~regular(matrices, max(SINGULAR, len(W) * of_rows))]
+    doubtful = matrices[~regular(matrices, max(ZERO_DETERMINANT, len(W) * of_rows))]
     values = np.linalg.svd(doubtful, compute_uv=False)
     most = np.maximum(SINGULAR_SYSTEM * values[:, 0], rounding * np.sum(diagonal))
     return bool(np.all(values[:, -1] > most))

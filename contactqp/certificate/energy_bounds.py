@@ -78,13 +78,13 @@ NOTABLE = 1e-11
 # Energies whose bounds are wider than this part are not enclosed well enough for the certificate, which asks for 1e-9.
 DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
-ROUNDED = 1e-26
+NO_LENGTH = 1e-26
 # The most rows whose residual dense systems distribute over forces, and a safety factor; random forces for more rows.
 MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
 AWAY = 1e6
 # An answer is accepted if it is this close to a solution up to such a conflict.
-NEAR = 1e-6
+CLOSE_BY = 1e-6
 # Contact forces below this part of tie forces have errors that are negligible relative to these.
 LEAST_PART = 1e-6
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
@@ -160,13 +160,13 @@ def _from_solution(
     state = without_conflict(held, Effort())
     solution, unit = state.answer.double(), scaling.length * scaling.force
     root = float(np.sqrt(unit))
-    wide, least = _width(state), ROUNDED * state.length
+    wide, least = _width(state), NO_LENGTH * state.length
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
     strain = max(strain - uncertain, 0.0)
     energy, size, elastic = _energy(state)
     moved = abs(solution.displacement)
-    rounding = ROUNDED * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
+    rounding = NO_LENGTH * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM), 0.0
     unique = unique_on(held)
@@ -215,7 +215,7 @@ def _from_solution(
     )
     if state.length_residual <= MET_TOGETHER:
         return found, untold * root
-    near = _relative(distance, scale) <= NEAR and _relative(missed, largest) <= NEAR
+    near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root
 
 

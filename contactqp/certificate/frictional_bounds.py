@@ -100,7 +100,7 @@ from contactqp.certificate.force_norms import (
     wedged,
 )
 from contactqp.certificate.state_bodies import (
-    ROUNDED,
+    LAW_ROUNDING,
     Compared,
     RefinedLengths,
     refined_lengths,
@@ -260,7 +260,7 @@ def _nearest(
     nearby, slides = slips.kappa * (1 + norms.allowance), slips.slides
     force = refined.friction[slides]
     missed = slips.mu[:, None] * refined.normal[slides, None] * directions(refined.slip[slides]) - force
-    off = np.linalg.norm(missed, axis=1) + ROUNDED * np.linalg.norm(force, axis=1)
+    off = np.linalg.norm(missed, axis=1) + LAW_ROUNDING * np.linalg.norm(force, axis=1)
     if nearby < 1:
         return (left + (1 + norms.allowance) * float(slips.widest @ off)) / (1 - nearby), margin
     found = slips.settled(refined.normal[slides], refined.slip[slides], norms.allowance, margin)
@@ -338,7 +338,7 @@ def _error_at_borders(
     off = np.zeros((m, d))
     drag = refined.friction - (mu * status * refined.normal)[:, None]
     slides = (abs(status) == 1) & (mu > 0) & ~at
-    off[slides, 1:] = (abs(drag) + ROUNDED * abs(refined.friction))[slides]
+    off[slides, 1:] = (abs(drag) + LAW_ROUNDING * abs(refined.friction))[slides]
     size, kept = abs(W), np.arange(m * d).reshape(m, d)[at].ravel()
     changed = found.inverse @ (missed[found.held] + size[found.held] @ off.ravel())
     moved = (found.response @ changed + size[kept] @ off.ravel()).reshape(-1, d) + uncertain[at]
@@ -381,10 +381,10 @@ def _distance(
     turned = np.divide(2 * off_slip, moved, out=np.full_like(moved, np.inf), where=moved > 0)
     in_space = refined.slip.shape[1] > 1  # where directions are doubles
     along = lengths(refined.friction - bound[:, None] * directions(refined.slip)) + bound * np.minimum(turned, 2.0)
-    along += in_space * ROUNDED * bound
+    along += in_space * LAW_ROUNDING * bound
     # Sticking: h_T is the nearest point of the disc, and slips count as errors.
     within = lengths(refined.friction - onto_discs(refined.friction, bound))
-    within += np.where(refined.room(mu) < 0, ROUNDED * bound, 0.0)
+    within += np.where(refined.room(mu) < 0, LAW_ROUNDING * bound, 0.0)
     as_slipping = along * norms.slip
     as_sticking = within * norms.slip + still * (norms.tangential_force + mu * norms.normal_force)
     sticks = closed & (mu > 0) & ~(slides & (as_slipping <= as_sticking))

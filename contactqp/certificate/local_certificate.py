@@ -261,7 +261,7 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 # Velocities and forces below this part of the largest, as roots of energies, are rounding errors.
-NOTHING = 1e-12
+VELOCITY_ROUNDING = 1e-12
 # The error of velocities and slip directions by the last digits of forces, relative to the velocities that meet.
 ROUNDING_OF_VELOCITIES = 4 * EPS
 
@@ -397,7 +397,7 @@ class MeasuredForces:
         self._problem, self._tolerance, self.force, self.velocity = problem, tolerance, r, u
         self._met = met = _meeting(problem, r, joint).reshape(r.shape)
         self._along, self._across = met[:, 0], met[:, 1:].max(axis=1, initial=0.0)
-        self._nothing = NOTHING * _size(problem, met)
+        self._nothing = VELOCITY_ROUNDING * _size(problem, met)
         self._own = problem.own_compliances
         scale = problem.contact_scale
         u = np.where(abs(u) * scale[:, None] > self._nothing, u, 0.0)
@@ -429,7 +429,7 @@ class MeasuredForces:
         met, own = (self._along, self._across)[kind], self._own[kind]
         any_own, any_met = self._own.max(axis=0), np.maximum(self._along, self._across)
         size = np.where(abs(force) > self._nothing * self._problem.contact_scale, abs(force), 0.0)
-        heard = own > NOTHING * any_own
+        heard = own > VELOCITY_ROUNDING * any_own
         return np.copysign(_part(np.where(heard, own, any_own) * size, np.where(heard, met, any_met)), force)
 
     @cached_property

@@ -40,11 +40,11 @@ DOUBTFUL = 1e-9
 # Signs along families that fail by more than this part are not due to rounding of data.
 SURE = 1e-13
 # The rounding of forces relative to the largest one.
-ROUNDING = 1e-13
+FORCE_ROUNDING = 1e-13
 # The rounding of displacements relative to the largest one without contacts.
-NOTHING = 1e-12
+DISPLACEMENT_ROUNDING = 1e-12
 # Answers are equal if the displacements of all contacts agree to this part of the sizes of their terms.
-SAME = 1e-6
+SAME_ANSWER = 1e-6
 # The ends of a family, found by linear programs, are different answers if contacts differ by this part.
 PROGRAMMED = 1e-5
 # The relative error of entries of the systems, and a safety factor on the resulting error of solutions.
@@ -97,7 +97,7 @@ def _several_answers(
     loose = dict[int, _Signs]()
     for b in np.flatnonzero(~alone).tolist():
         sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
-        rounding = system.nothing + ROUNDING * abs(y[b]).max(initial=0.0)
+        rounding = system.nothing + FORCE_ROUNDING * abs(y[b]).max(initial=0.0)
         if np.any(abs(matrices[b] @ y[b] - right[b]) > doubtful * sizes + rounding):
             continue
         signs = _Signs(system, status[b], y[b], free[b])
@@ -227,7 +227,7 @@ class _Systems:
         limits = np.stack([problem.gap, problem.slip_origin[:, 0]], axis=1) / compliance.scale[:, None]
         self._room = (limits.ravel() - free).reshape(-1, 2)  # of gap and slip without forces
         self._given = (abs(limits).ravel() + abs(free)).reshape(-1, 2)
-        self.nothing = NOTHING * max(float(abs(part).max(initial=0.0)) for part in (free, self._held))
+        self.nothing = DISPLACEMENT_ROUNDING * max(float(abs(part).max(initial=0.0)) for part in (free, self._held))
         self._lost = LOST + compliance.rounding
         self._compliance = np.diagonal(self._W).reshape(-1, 2)
         self._slope = -np.hstack([self._W, self._V])
@@ -297,7 +297,7 @@ class _Systems:
         compliance = np.broadcast_to(self._compliance, meeting.shape)
         felt = compliance > SINGULAR_SYSTEM * compliance.max(initial=0.0)
         asked = np.divide(meeting, compliance, out=np.broadcast_to(largest, meeting.shape).copy(), where=felt)
-        return self.doubtful * meeting, self.doubtful * asked + ROUNDING * largest
+        return self.doubtful * meeting, self.doubtful * asked + FORCE_ROUNDING * largest
 
     def _by_state(self, status: NDArray[np.int8]) -> Iterator[Indices]:
         """Yield the open, closed, sticking and slipping contacts."""
@@ -330,8 +330,8 @@ class _Systems:
         off = np.array([of_family if one.off is None or other.off is None else one.off + other.off for other in others])
         exact = np.array([one.off is not None and other.off is not None for other in others])[:, None]
         far = np.where(exact, off.reshape(len(others), -1)[:, self._acting_rows], PROGRAMMED * meeting)
-        nearly = np.minimum(far, SAME * meeting + 10 * self.nothing)
-        same = np.where(exact, nearly, NOTHING * meeting + SAFE * self.nothing)
+        nearly = np.minimum(far, SAME_ANSWER * meeting + 10 * self.nothing)
+        same = np.where(exact, nearly, DISPLACEMENT_ROUNDING * meeting + SAFE * self.nothing)
         surely, equal = np.any(change > np.maximum(far, same), axis=1), np.all(change <= same, axis=1)
         return [True if differs else False if agrees else None for differs, agrees in zip(surely, equal, strict=True)]
 

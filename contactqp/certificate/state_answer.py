@@ -50,7 +50,7 @@ from contactqp.certificate.state_bodies import (
 )
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import HELD, condensed_frictional_rows, contact_compliance
+from contactqp.linalg.delassus import FIXED_BY_TIES, condensed_frictional_rows, contact_compliance
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
@@ -72,11 +72,11 @@ HARDLY = 0.1
 # Friction within this relative distance of its bound is at its bound.
 AT_BOUND = 1e-9
 # Refinement has converged if the last correction is below this part of the limit of the distance.
-SETTLED = 1e-3
+REFINED = 1e-3
 # Reasons for refusing an answer, or for not comparing it.
 OUT_OF_TIME = "the time limit ended the search before the answer was compared with that of its own states"
 NONE_HOLDS = "no combination of open, stick and slip near the answer's own has an answer whose signs hold"
-SINGULAR = "the system of its combination of open, stick and slip has no inverse"
+NO_INVERSE = "the system of its combination of open, stick and slip has no inverse"
 UNSETTLED = (
     "refinement does not settle from it: it is far from the answer of its combination of open, stick and slip, or the "
     "system of that is singular to working precision"
@@ -212,7 +212,7 @@ class CondensedBodies:
         self.floats = condensation.rigid.count > 0
         compliance = contact_compliance(problem, condensation)
         per_contact = compliance.W.diagonal().reshape(problem.contacts, -1)
-        per_contact = np.where(per_contact > HELD, per_contact, 0.0) * compliance.scale[:, None] ** 2
+        per_contact = np.where(per_contact > FIXED_BY_TIES, per_contact, 0.0) * compliance.scale[:, None] ** 2
         self.along, self.across = per_contact[:, 0], per_contact[:, 1:].max(axis=1, initial=0.0)
 
     def refined(self, status: Status, start: Answer) -> RefinedState:
@@ -291,7 +291,7 @@ class _Comparison:
             seen.add(status.tobytes())
             refined = self._bodies.refined(status, self._answer)
             if not refined.regular:
-                return None, SINGULAR
+                return None, NO_INVERSE
             moved, _ = energy_norm(self._problem, refined.last.displacement)
             strain, unsure = energy_norm(self._problem, refined.displacement)
             if not self._problem.diagonal.any():  # without elastic parts, lengths and forces are compared directly
@@ -301,7 +301,7 @@ class _Comparison:
             distance = self._distance(refined, signs, strain)
             limit = tolerance * max(distance.displacement[1], distance.force[1])
             last = self._last_correction(refined, moved)
-            if not last <= max(SETTLED * limit, nothing):
+            if not last <= max(REFINED * limit, nothing):
                 return None, UNSETTLED
             if signs.failing <= max(HARDLY * limit, nothing):
                 self.redundant, self.displacement = refined.redundant, reached

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 # A refined answer is rejected if ties have residuals above this part of their sizes.
 UNMET = 1e-22
 # The rounding of Coulomb's law in doubles relative to the friction.
-ROUNDED = 8 * EPS
+LAW_ROUNDING = 8 * EPS
 # The tolerance of equilibrium at every unknown for iterative solution of a combination.
 ROUNDING_OF_FIGURES = 1e-10
 # Slip directions have converged if their update changes the displacement by less than this part of its energy norm.
@@ -56,7 +56,7 @@ MOST_COMPARING = 150
 STEPS_TO_TELL, FAR_APART = 12, 1e-4
 # Slip directions do not converge if their update exceeds this part of the previous one.
 SLOW_TURN = 0.5
-FAR = "it is far from the answers of the combinations that it leads to"
+FAR_FROM_ANSWERS = "it is far from the answers of the combinations that it leads to"
 UNSURE_MOTIONS = (
     "whether springs or rounding resist the rigid motions of the bodies is not known, and it changes the forces: "
     "stated in near_null_space, they are exact"
@@ -160,7 +160,7 @@ class IteratedBodies:
         for _ in range(TURNS):
             left = self._before + MOST_COMPARING - self._iteration.krylov_iterations
             if left <= 0:
-                raise BackendFailed(FAR)
+                raise BackendFailed(FAR_FROM_ANSWERS)
             system = CombinationSystem(self._rows, states)
             found = system.answer(self._solved(system, here.displacement, left))
             last = Correction(
@@ -257,7 +257,7 @@ class RefinedLengths:
 
     def room(self, mu: Vector) -> Vector:
         """Return mu l_N - |l_T| (m,), reduced by its rounding."""
-        return np.asarray((1 - ROUNDED) * mu * self.normal - lengths(self.friction))
+        return np.asarray((1 - LAW_ROUNDING) * mu * self.normal - lengths(self.friction))
 
 
 def refined_lengths(

@@ -33,7 +33,7 @@ FIRST = 1000
 # friction, as friction changes the edge of contact slightly.
 LAYERS, LAYERS_OF_FRICTION = 3, 1
 # Contacts of another code's answer may be closed if the gap is below this part of the lengths that meet.
-TOUCHING = 1e-6
+MAY_CLOSE = 1e-6
 # The number of enlargements of a certificate's subset before it has no bound.
 WIDENINGS = 5
 TOO_WIDE = f"the candidate contacts were widened {WIDENINGS} times, and others still close"
@@ -61,7 +61,7 @@ def believed_candidates(problem: ContactProblem, answer: Answer) -> Indices:
     """Return the contacts that an answer closes, or the nearest ones, and the previous subset."""
     gap = problem.gap - problem.normal @ answer.displacement
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
-    closed = np.flatnonzero((answer.normal_force != 0) | (gap <= TOUCHING * length))
+    closed = np.flatnonzero((answer.normal_force != 0) | (gap <= MAY_CLOSE * length))
     return _with_former(problem, closed if closed.size else _nearest(problem))
 
 

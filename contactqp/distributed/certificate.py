@@ -38,7 +38,7 @@ from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import ANSWER_PARTS, FIGURES, GLOBALLY, Answer, Certificate, Violations
 
 # The relative distance of the bounds of a minimum at the end; figures need few digits only.
-NEAR = 1e-9
+BOUNDS_APART = 1e-9
 MOST_QUERIES = 1000
 
 
@@ -57,7 +57,7 @@ class CuttingPlanes:
     Attributes
     ----------
     best : (p,) array, the a with the least h(a) / |w'a| so far
-    done : bool, whether `best` is the minimum, up to NEAR
+    done : bool, whether `best` is the minimum, up to BOUNDS_APART
     """
 
     def __init__(self, weight: Vector) -> None:
@@ -87,7 +87,7 @@ class CuttingPlanes:
             return
         following, lower = self._program()
         self._queries = [following]
-        self.done = self._least - lower <= NEAR * self._least
+        self.done = self._least - lower <= BOUNDS_APART * self._least
         if not self.done and len(self._cuts) >= MOST_QUERIES:
             raise NotConverged(f"the balance of forces could not be judged: {MOST_QUERIES} motions were too few")
 

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contactqp.analysis.friction_step import (
-    SAME,
+    GAP_ROUNDING,
+    SAME_DISPLACEMENT,
     STILL,
-    TOUCHING,
     WIDENED,
     WIDENINGS,
     Anchors,
@@ -185,7 +185,7 @@ class _Stepper:
             found = _solved_from(found, replace(found.problem, gap=self._problem.gap), self._method, self._options)
             moved = np.array([np.max(abs(part), initial=0.0) for part in (found.answer.displacement - wide, wide)])
             change, size = ranks.max(moved)
-            if change > SAME * size:
+            if change > SAME_DISPLACEMENT * size:
                 raise NotConverged("contacts that need not close may: several equilibria, and one was asked for")
         self.before = self._start_solution = found
         return state
@@ -196,7 +196,7 @@ class _Stepper:
         rows: Any = problem.tangent
         largest = float(problem.ranks.max(float(np.max(np.sqrt(problem.metric) * abs(u), initial=0.0))))
         lengths = problem.normal.length_sizes(u) + abs(problem.gap)
-        rounding = TOUCHING * (lengths + np.sqrt(row_sizes(problem, problem.normal).compliance) * largest)
+        rounding = GAP_ROUNDING * (lengths + np.sqrt(row_sizes(problem, problem.normal).compliance) * largest)
         gap = problem.gap - problem.normal.lengths(u)
         position = rows.lengths(u).reshape(_origin(problem).shape)
         still = STILL * (rows.length_sizes(u) + np.sqrt(row_sizes(problem, rows).compliance) * largest)

@@ -46,7 +46,7 @@ from contactqp.model.arrays import EPS, Array, Index, Mask, own_floating_point
 # Cosine: two normals further than this over 90 degrees apart face each other; walls at right angles never do.
 FACING = 1e-6
 # Feet closer together than this part of the facet are one point.
-SAME = 1e-9
+SAME_FOOT = 1e-9
 # A point may stand over the end of a surface by this part of the facet: meshes of flush bodies differ by rounding.
 FLUSH = 1e-6
 # The true normal at the end of a curved side differs from the last facet's by about the kink at that facet's other end,
@@ -61,7 +61,7 @@ CONVERGED = 1e-13
 # A foot this far outside the reference element counts as inside: it is on the edge but for rounding.
 EDGE = 1e-10
 # The range of iterates in reference coordinates.
-FAR = 2.0
+OUTERMOST_ITERATE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +136,15 @@ def _search(
     best = np.full(len(points), np.inf)
     while active.size:
         # Wider by rounding, so that all facets that share the foot are found.
-        i, j = overlapping_balls(points[active], search[active] * (1 + SAME), centres, radii * (1 + SAME))
+        i, j = overlapping_balls(points[active], search[active] * (1 + SAME_FOOT), centres, radii * (1 + SAME_FOOT))
         i = active[i]
         facing = (normals[i] * middle[j]).sum(axis=1) < -FACING
         i, j = i[facing], j[facing]
         found = _Found(i, j, closest_point(kind, positions[j], points[i]))
         np.minimum.at(best, i, found.foot.distance)
         # A facet beyond the radius of this search may have nearer ones beside it that were not searched.
-        done = (best <= search * (1 + SAME)) | (search >= limit)
-        near = found.foot.distance <= np.minimum(best[i] + SAME * radii[j], limit[i] * (1 + SAME))
+        done = (best <= search * (1 + SAME_FOOT)) | (search >= limit)
+        near = found.foot.distance <= np.minimum(best[i] + SAME_FOOT * radii[j], limit[i] * (1 + SAME_FOOT))
         yield found.only(near & done[i])
         active = active[~done[active]]
         wider = np.where(np.isfinite(best[active]), best[active], 2 * search[active])
@@ -164,14 +164,14 @@ def _chosen(surface: Surface, points: Array, found: _Found) -> Partners:
     chosen[i[first]] = first
     positions = surface.points[surface.facets[j]]
     size = diameters(positions)
-    same = np.linalg.norm(foot.position - foot.position[chosen[i]], axis=1) <= SAME * size
+    same = np.linalg.norm(foot.position - foot.position[chosen[i]], axis=1) <= SAME_FOOT * size
     tangents = tangent_vectors(positions, kind.derivatives(foot.xi))
     normals = normal_vectors(tangents)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     apart = points[i] - foot.position
     height = (apart * normals).sum(axis=1)
     over = np.linalg.norm(apart - height[:, np.newaxis] * normals, axis=1)
-    perpendicular = over <= SAME * size
+    perpendicular = over <= SAME_FOOT * size
     mean, upright = np.zeros((p, d)), np.zeros((p, d))
     np.add.at(mean, i[same], normals[same])
     np.add.at(upright, i[same & perpendicular], normals[same & perpendicular])
@@ -244,7 +244,7 @@ def closest_point(kind: FacetKind, positions: Array, points: Array) -> Foot:
     points : (q, d) array [length]
     """
     axes = kind.nodes.shape[1]
-    everywhere = np.full(axes, FAR)
+    everywhere = np.full(axes, OUTERMOST_ITERATE)
     samples = np.vstack([kind.centre, kind.nodes])
     inner = _minimise(kind, positions, points, np.zeros(axes), np.eye(axes), samples, -everywhere, everywhere)
     best = _foot(kind, positions, points, inner)

@@ -16,7 +16,7 @@ from contactqp.model.local_problem import GlobalProblem, LocalProblem
 from contactqp.model.problem import ContactProblem
 
 # Scaled to unit diagonal, a singular matrix has a reciprocal condition number of a few eps in floating point.
-SINGULAR = 64 * EPS
+SINGULAR_STIFFNESS = 64 * EPS
 # Columns of H that are solved for at a time: a dense block of them must fit into memory.
 COLUMNS_AT_A_TIME = 256
 
@@ -112,7 +112,7 @@ class _Inverse:
         except RuntimeError:  # SuperLU's word for an exactly zero pivot
             raise self._singular(0.0) from None
         reciprocal = self._reciprocal_condition(scaled)
-        if not reciprocal > SINGULAR:
+        if not reciprocal > SINGULAR_STIFFNESS:
             raise self._singular(reciprocal)
 
     def solve(self, right: Array) -> Array:

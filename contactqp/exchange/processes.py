@@ -26,7 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem
-from contactqp.exchange.deck.card_readers import HELD
+from contactqp.exchange.deck.card_readers import FIXED_DIRECTIONS
 from contactqp.exchange.deck.cards import PRINTED, Card, Line, read_cards
 from contactqp.exchange.deck.instances import flattened
 from contactqp.exchange.files import Path, file_size, one_line, wrong
@@ -361,8 +361,8 @@ def _head(card: Card) -> str:
 def _data(card: Card, line: Line) -> Iterator[str]:
     """Yield lines of data with words for supports such as ENCASTRE, and gravity on all elements, in CalculiX's form."""
     words, keyword = line.words, card.keyword.name
-    if keyword == "BOUNDARY" and len(words) == 2 and words[1] in HELD:
-        yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in HELD[words[1]])
+    if keyword == "BOUNDARY" and len(words) == 2 and words[1] in FIXED_DIRECTIONS:
+        yield from (f"{words[0]}, {axis + 1}, {axis + 1}" for axis in FIXED_DIRECTIONS[words[1]])
     elif keyword == "DLOAD" and not words[0]:
         yield ", ".join([ELEMENTS, *words[1:]])
     elif card.keyword.any_parameter:

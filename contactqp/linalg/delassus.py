@@ -45,7 +45,7 @@ from contactqp.model.problem import ContactProblem
 
 FLOATING = 1e-9  # joints whose smallest singular value is below this part of the largest leave a body floating
 MUCH, MOST_MEASURED = 1e-6, 2_000_000  # entries of responses whose residuals measure the rounding of the stiffness
-HELD = 1e-13  # ties fix a contact if they reduce its compliance to this part of that without ties
+FIXED_BY_TIES = 1e-13  # ties fix a contact if they reduce its compliance to this part of that without ties
 # The most sweeps of refinement, and the largest relative change of forces in the last one.
 SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
 DENSE_ROWS, LITTLE = 4, 2.0**24  # copies of the rows that are made at a time, and entries that fit into any memory
@@ -70,7 +70,7 @@ class ContactOperators:
     @property
     def felt(self) -> Mask:
         """Return which rows (m, d) are not fixed by ties up to rounding."""
-        return np.asarray(self.W.diagonal() > HELD * self.size).reshape(len(self.scale), -1)
+        return np.asarray(self.W.diagonal() > FIXED_BY_TIES * self.size).reshape(len(self.scale), -1)
 
     @property
     def floats(self) -> bool:
@@ -176,7 +176,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
         elimination, grown = V @ inverse, float(np.linalg.norm(inverse, 2) * np.linalg.norm(J, 2))
         W, V, J = W - elimination @ V.T, V[:, :0], J[:0, :0]
         W = (W + W.T) / 2
-        unfelt = W.diagonal() <= max(HELD, EPS * grown) * before
+        unfelt = W.diagonal() <= max(FIXED_BY_TIES, EPS * grown) * before
         W[unfelt] = W[:, unfelt] = 0.0  # rounding of rows in the span of ties would appear as compliance
     lost, ties = max(condensation.lost_digits, len(scale) * EPS), len(tie) if len(J) else 0
 

@@ -47,7 +47,7 @@ PROGRAMS = 4  # linear programs, each starting from the last, which together rea
 # Polygons in place of the circle of slips, finer near those that the last allowed; the least part of work that counts.
 POLYGONS, HARDLY_DRIVEN = 6, 1e-10
 # Constraints with slacks beyond this multiple of the excess are left out of the program.
-FAR = 1e7
+IDLE_SLACK = 1e7
 PROJECTIONS = 2  # of a motion onto the null space of rows; the second removes rounding of the first
 # Multipliers or displacements below this part of the largest are left out of a conflict or motion.
 NO_PART = 1e-9
@@ -351,7 +351,7 @@ def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float
     answer = _program(
         np.append(np.zeros(count), 1.0),
         A_ub=sp.hstack([rows, -np.ones((rows.shape[0], 1))], format="csr"),
-        b_ub=np.minimum(np.concatenate([left, -left[m:]]), FAR),
+        b_ub=np.minimum(np.concatenate([left, -left[m:]]), IDLE_SLACK),
         bounds=[(None, None)] * count + [(0, None)],
     )
     if answer.x is None:

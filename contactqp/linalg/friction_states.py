@@ -93,19 +93,19 @@ CAUTION = 1e4
 # The same system is used for slip directions and relative mu l_N / |s| that differ by less.
 SAME_SYSTEM = 1e-9
 # Refinement has failed if the last correction exceeds this part of the answer.
-SETTLED = 1e-12
+REFINEMENT_FAILED = 1e-12
 # A slip below this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
 # Rounding errors of zero after refinement, relative to the largest component.
 INVISIBLE = 1e-22
 # Corrections below this part of the answer do not change its doubles.
-NEGLIGIBLE = 1e-20
+BELOW_DOUBLES = 1e-20
 # The work named in the message if the time limit has passed.
 LATE = "the answer was solved for on its combination of open, stick and slip"
 # Larger systems are reduced to the forces by a Schur complement if nothing floats.
 REDUCED = 100
 # With a reciprocal condition, or relative singular values, below this, a system does not determine motions or forces.
-SINGULAR = 1e-12
+SINGULAR_STATES = 1e-12
 
 
 class StateSystem:
@@ -155,7 +155,7 @@ class StateSystem:
             reduced = ReducedStates(rows, self._acting, directions, across)
             self._reduced = reduced if reduced.regular else None
         if self._reduced is None:
-            self._factorise(self._whole(directions, across, independent), 0.0 if independent else SINGULAR)
+            self._factorise(self._whole(directions, across, independent), 0.0 if independent else SINGULAR_STATES)
         self.regular = self._reduced is not None or self._inverse is None
         units = (rows.normal_length, rows.tangent_length.repeat(rows.width), rows.tie_length)
         self._units = np.concatenate(units)[self._acting]
@@ -194,9 +194,9 @@ class StateSystem:
         self._inverse: Array | None = None
         factor, pivots, info = lapack().dgetrf(matrix)
         condition = lapack().dgecon(factor, np.linalg.norm(matrix, 1))[0] if info == 0 else 0.0
-        self.sound = condition >= SINGULAR
+        self.sound = condition >= SINGULAR_STATES
         if not (info == 0 and (condition >= singular or not singular)):  # minimum-norm least squares
-            self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR), dtype=float)
+            self._inverse = np.asarray(np.linalg.pinv(matrix, rcond=SINGULAR_STATES), dtype=float)
             self._singular = matrix
         self._factor = (factor, pivots)
 
@@ -228,7 +228,7 @@ class StateSystem:
     def unresolved(self) -> list[Correction]:
         """Return a basis of the null space of a singular system, in the form of `correct`."""
         values, right = right_singular(self._singular)
-        free, rows, m, p = right[np.sum(values > SINGULAR * values[0]) :], self._rows, self._contacts, self._size
+        free, rows, m, p = right[np.sum(values > SINGULAR_STATES * values[0]) :], self._rows, self._contacts, self._size
         _, inner = self._condensation.reduce_residual(np.zeros(len(self._condensation.unknown_scale)))
         moved = (self._condensation.expand(one[:p] * rows.scale, inner) for one in free)
         end = m * (1 + rows.width)
@@ -385,10 +385,10 @@ def refined_by(
             directions, turning = slip_directions(rows, status, slip, whole[tied:pushed], directions)
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
-        if size <= NEGLIGIBLE or (size > 0.5 * last and not turns and not halves):
+        if size <= BELOW_DOUBLES or (size > 0.5 * last and not turns and not halves):
             break
         foreseen = size * min(caution * size / last, 1.0)
-        if size <= unseen or (sweep and foreseen <= NEGLIGIBLE):
+        if size <= unseen or (sweep and foreseen <= BELOW_DOUBLES):
             break
         elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None
@@ -421,7 +421,7 @@ def answer_in(
 
 def _settled(refined: RefinedState) -> bool:
     """Return whether the last correction of the displacement is at the level of rounding of slip directions."""
-    return _part(refined.last.displacement, refined.displacement.double()) <= SETTLED
+    return _part(refined.last.displacement, refined.displacement.double()) <= REFINEMENT_FAILED
 
 
 def slip_directions(

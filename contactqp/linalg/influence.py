@@ -153,7 +153,7 @@ PROVEN, GRAZING = 1e-7, 1e-8
 # The range of scaled lengths whose products neither underflow nor overflow.
 SMALLEST, LARGEST = 1e-100, 1e100
 # The largest |I - V M| of an approximate inverse V.
-NEAR = 0.1
+INVERSE_ERROR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -479,7 +479,7 @@ class _System:
     def bounded(self, size: Vector) -> Vector:
         """Return bounds of M^-1 x for all |x| <= size, infinite if the inverse is unknown."""
         sizes, missing = self._inverse
-        if not missing < NEAR:
+        if not missing < INVERSE_ERROR:
             return np.full(len(size), np.inf)
         found = sizes @ size
         return np.asarray(found + missing / (1 - missing) * found.max(initial=0.0))

@@ -42,7 +42,7 @@ ROUNDED_AWAY = 2.0**-90
 # Corrections in other directions may contract less than measured by this factor.
 CAUTION = 1e4
 # The relative size of the next correction at which refinement stops, far below the precision of doubles.
-NEGLIGIBLE = 1e-22
+LAST_CORRECTION = 1e-22
 # Displacements below this part of the forces, both in the root of energy, are refined separately.
 SMALL = 1e-3
 
@@ -230,15 +230,15 @@ class _CorrectionSize:
         The rigid part of a displacement counts only for the latter. A displacement that is small compared with forces,
         as with weak springs, determines gaps on which these do work, so it is weighted accordingly.
         """
-        if not FINE_EPS * whole < size <= NEGLIGIBLE * whole:
+        if not FINE_EPS * whole < size <= LAST_CORRECTION * whole:
             return size <= FINE_EPS * whole
         u, force, tie = answer
         moved = self._moved(u)
-        if 0 < moved < SMALL * whole and size > max(NEGLIGIBLE * moved / whole, FINE_EPS) * moved:
+        if 0 < moved < SMALL * whole and size > max(LAST_CORRECTION * moved / whole, FINE_EPS) * moved:
             return False
         if not self._rigid.count:
             return True
-        return size <= NEGLIGIBLE * self(self._rigid.without_rigid_part(u, self._problem.diagonal), force, tie)
+        return size <= LAST_CORRECTION * self(self._rigid.without_rigid_part(u, self._problem.diagonal), force, tie)
 
 
 def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, force: Vector) -> Indices:

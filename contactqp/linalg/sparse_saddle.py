@@ -55,7 +55,7 @@ CREEPS = 0.5
 CORRECTIONS = 2
 # Residuals above this part of the forces and lengths that meet have half of their digits in doubles: as many as a
 # correction needs that is refined in doubles.
-FAR = 1e-8
+HALF_OF_THE_DIGITS = 1e-8
 # Residuals below this part of the forces and lengths that meet are rounding in extended precision.
 SOLVED = 2.0**-88
 # Rows with residuals above this part of the largest length are not satisfied, as they conflict.
@@ -240,7 +240,7 @@ class ClosedState:
     def started(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer) -> ClosedState:
         """Return the state of an answer as a start; far from a solution its residuals are formed in doubles."""
         state = cls.of(problem, closed, answer, plain=True)
-        return state if state.residual > FAR else cls.of(problem, closed, answer)
+        return state if state.residual > HALF_OF_THE_DIGITS else cls.of(problem, closed, answer)
 
     @classmethod
     def of(cls, problem: ContactProblem, closed: Mask, answer: ExtendedAnswer, plain: bool = False) -> ClosedState:

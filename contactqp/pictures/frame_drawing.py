@@ -125,7 +125,7 @@ MOST_LOADS = 40
 # Relative to the size: half the length of an obstacle's symbol, and how far the deformed line is below the undeformed.
 OBSTACLE, BELOW = 0.07, 0.12
 # An obstacle further than this from its node, relative to the size, is mentioned in the legend only.
-FAR = 0.6
+DISTANT_OBSTACLE = 0.6
 MARGIN = 0.12
 # Width, least height, and height of title, axis and legend [inch]; and the largest ratio of height to width.
 WIDTH, LEAST, TEXT, MOST_UPRIGHT = 9.0, 1.6, 1.5, 0.75
@@ -252,7 +252,7 @@ def _draw_partner(axes: Any, fields: FrameFields, contact: FrameContact, scale: 
         ends = fields.flat((fields.position + scale * fields.displacement)[[i, j]], row)
         axes.plot(*ends.T, color="black", linewidth=0.8, linestyle=":", gid="pair")
         return []
-    if scale * abs(contact.initial_gap) > FAR * size:
+    if scale * abs(contact.initial_gap) > DISTANT_OBSTACLE * size:
         return []
     out = contact.push[0]
     foot = fields.flat((fields.position[contact.nodes[0]] - scale * contact.initial_gap * out)[np.newaxis], row)[0]

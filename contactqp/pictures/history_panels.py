@@ -142,7 +142,7 @@ def _energies(energies: tuple[Energies, ...], names: tuple[str, ...]) -> dict[st
 # Curves in one panel at most, so that they can be distinguished.
 MOST_CONTACTS, MOST_UNKNOWNS = 5, 4
 # Unknowns whose work or movement is below this part of the largest are left out.
-NEGLIGIBLE = 1e-6
+LEFT_OUT = 1e-6
 # The number of the curve that sums all contacts.
 ALL = -1
 
@@ -277,7 +277,7 @@ def work_of_unknowns(fields: HistoryFields) -> Vector:
 def ranked(unknowns: Index, weight: Vector) -> Index:
     """Return the unknowns by decreasing weight, without those of negligible weight."""
     order = np.argsort(-weight, kind="stable")
-    return unknowns[order[weight[order] > NEGLIGIBLE * np.max(weight, initial=0.0)]]
+    return unknowns[order[weight[order] > LEFT_OUT * np.max(weight, initial=0.0)]]
 
 
 def _unknown_curves(fields: HistoryFields, values: Array, unknowns: Index) -> tuple[Curve, ...]:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # meshes are imported where a scene has bodies
 
 # The largest distance between a stated point and its node, in diagonals of the node's smallest element; it allows for
 # rounded coordinates and excludes the neighbouring nodes.
-NEAR = 0.01
+NEAR_NODE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def lattice_of_shape(scene: SceneData, shape: Shape) -> Lattice:
 
 
 def nearest_node(body: Part, point: ArrayLike, what: str) -> int:
-    """Return the node of a body or membrane at a point, to within NEAR of the smallest element that has the node.
+    """Return the node of a body or membrane at a point, to within NEAR_NODE of the smallest element that has the node.
 
     Raises
     ------
@@ -119,8 +119,8 @@ def nearest_to(body: Part, point: ArrayLike) -> Nearest:
 
 
 def near_enough(nearest: Nearest, what: str) -> int:
-    """Return the index of the nearest node if it is within the tolerance NEAR, else raise as `nearest_node`."""
-    reach = NEAR * nearest.smallest
+    """Return the index of the nearest node if it is within the tolerance NEAR_NODE, else raise as `nearest_node`."""
+    reach = NEAR_NODE * nearest.smallest
     if nearest.apart > reach:
         at = ", ".join(f"{x:.9g}" for x in nearest.at)
         raise InvalidProblem(
@@ -177,9 +177,9 @@ def _squares(points: Array, centre: Any) -> Array:
 
 
 # Depths count as equal if they differ by less than this part of the larger one.
-SAME = 1e-6
+SAME_DEPTH = 1e-6
 # Gaps up to this part of the largest coordinate may be rounding of a few products of coordinates with a normal.
-ROUNDED = 16 * EPS
+GAP_ROUNDING = 16 * EPS
 
 
 def warn_of_start(scene: SceneData, place: int, doubt: str) -> None:
@@ -203,7 +203,7 @@ def _beyond_rounding(scene: SceneData, gaps: Array) -> Array:
         stated = [*(item.point or ()), *(item.centre or ()), *(item.apex or ())]
         lengths += vector(scene.system, stated if item.radius is None else [*stated, item.radius])
     size = max((abs(x) for x in lengths), default=0.0)
-    return np.where(abs(gaps) <= ROUNDED * size, 0.0, gaps)
+    return np.where(abs(gaps) <= GAP_ROUNDING * size, 0.0, gaps)
 
 
 def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
@@ -276,4 +276,4 @@ def _deeper(
         distances = obstacle(scene, str(contact.obstacle)).distance(np.array(others))
     except InvalidProblem:  # the obstacle has no distance there
         return False
-    return bool(np.all(-np.asarray(distances, dtype=float) > depth * (1 + SAME)))
+    return bool(np.all(-np.asarray(distances, dtype=float) > depth * (1 + SAME_DEPTH)))

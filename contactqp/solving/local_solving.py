@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.certificate.local_certificate import MeasuredForces, measured_forces, with_uniqueness
-from contactqp.certificate.other_answers import NOTHING
+from contactqp.certificate.other_answers import DISPLACEMENT_ROUNDING
 from contactqp.errors import (
     InvalidProblem,
     NoEquilibrium,
@@ -58,7 +58,7 @@ WORTH_ONE_THREAD = 100
 # Scaled errors this small are worth a certificate.
 WORTH_JUDGING = 1e-6
 # Combinations that violate the law by less than this may be answers within rounding.
-NEAR = 1e-6
+NEAR_THE_LAW = 1e-6
 
 
 @own_floating_point
@@ -170,7 +170,7 @@ def local_equilibria(problem: LocalProblem, tolerance: float = 1e-9) -> tuple[Lo
         raise
     passed = tuple(solution for solution in found if solution.certificate.passed)
     near = min(found, key=lambda solution: solution.certificate.natural_map, default=None)
-    if not passed and near is not None and near.certificate.natural_map <= NEAR:
+    if not passed and near is not None and near.certificate.natural_map <= NEAR_THE_LAW:
         raise NotConverged(f"enumeration: {'; '.join(near.certificate.failures)}", (), near)
     return passed
 
@@ -248,7 +248,7 @@ class _Judge:
 
 
 # Answers are equal if their velocities agree to this part of the sizes of their terms.
-SAME = 1e-8
+SAME_VELOCITY = 1e-8
 
 
 def enumerated(form: LocalForm) -> Iterator[Iterate]:
@@ -265,8 +265,8 @@ def enumerated(form: LocalForm) -> Iterator[Iterate]:
         answers = form.velocity(found.force, found.joint_force).ravel() - form.q
         sizes = abs(form.W) @ abs(found.force).ravel() + abs(form.V) @ abs(found.joint_force)
         # Answers whose violation exceeds the difference of velocities may be replaced by a better one.
-        if found.error <= SAME * max(1.0, float(np.max(sizes, initial=0.0))):
-            if any(np.all(abs(answers - u) <= SAME * np.maximum(sizes, size)) for u, size in seen):
+        if found.error <= SAME_VELOCITY * max(1.0, float(np.max(sizes, initial=0.0))):
+            if any(np.all(abs(answers - u) <= SAME_VELOCITY * np.maximum(sizes, size)) for u, size in seen):
                 continue
             seen.append((answers, sizes))
         yield Iterate(found.force, found.joint_force, found.error, count + 1)
@@ -293,5 +293,5 @@ def _combinations(form: LocalForm) -> Combinations:
         target=np.zeros(2 * form.m),
         fixed=np.hstack([V.T * signs, form.R]),
         fixed_right=-form.s,
-        nothing=NOTHING,
+        nothing=DISPLACEMENT_ROUNDING,
     )

@@ -23,7 +23,7 @@ from contactqp.linalg.convexity import least_solution
 from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
 from contactqp.linalg.existence import (
     DRIVEN,
-    FAR,
+    IDLE_SLACK,
     NO_PART,
     PROJECTIONS,
     conflict_of,
@@ -378,7 +378,7 @@ class SparseRun(Run):
             size = float(np.max(missing, initial=0.0))
             if not size > OVERLAPPING:
                 return
-            left = np.minimum(left / size, FAR)
+            left = np.minimum(left / size, IDLE_SLACK)
             of_ties = {"tie": overlapping[m:], "tie_value": left[m:]}
             looser = ContactProblem(squares, np.zeros(n + count), overlapping[:m], left[:m], **of_ties)
             try:

@@ -29,7 +29,7 @@ SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1
 FILES = ("pressure_areas", "dof_map", "contact_map")
 # The entries by which verdicts are compared, and the factor by which a figure or bound may grow between versions or
 # machines.
-SAME = ("right", "proven")
+COMPARED_ENTRIES = ("right", "proven")
 EXPECTED = "a receipt, as `contactqp check PROBLEM CANDIDATE --receipt FILE` writes"
 GROWTH = 10.0
 # Figures and bounds below this are rounding errors and are not compared.
@@ -64,7 +64,7 @@ def write_receipt(file: str, problem: str, candidate: str, options: CheckOptions
         "candidate": _relative(candidate, target.parent),
         "options": asked,
         "sha256": hashes(target, problem, candidate, options),
-        "verdict": {name: found.get(name) for name in (*SAME, "basis", "diagnosis", "failures", "notes")},
+        "verdict": {name: found.get(name) for name in (*COMPARED_ENTRIES, "basis", "diagnosis", "failures", "notes")},
         "figures": _figures(verdict),
         "wrong_contacts": found.get("worst", []),
         "ignored": found["ledgers"][-1]["ignored"],
@@ -252,7 +252,7 @@ def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]
 def _other_verdict(data: Mapping[str, Any], verdict: Verdict) -> Iterator[str]:
     """Yield the differences between a receipt and a new verdict: verdict, text, figures or bounds that have grown."""
     found, before = verdict.data(), data["verdict"]
-    for name in SAME:
+    for name in COMPARED_ENTRIES:
         if before.get(name) != found.get(name):
             now, then = (_in_words(name, values.get(name)) for values in (found, before))
             yield f"the answer is {now}, and the receipt says {then}"

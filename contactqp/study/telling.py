@@ -274,7 +274,7 @@ LINE_LABEL = (18.0, 190.0)
 # The height of a row of exact answers [px], and the largest part of the area that rows take together.
 ROW, MOST = 14.0, 0.45
 # How far above or below its mark the middle of a name may stand that has a line to it [px].
-FAR = (24.0, 38.0, 54.0, 72.0, 92.0, 116.0)
+LINE_OFFSETS = (24.0, 38.0, 54.0, 72.0, 92.0, 116.0)
 # Methods whose names are placed first, as readers look for them.
 NAMED_FIRST = ("active-set", "penalty", "perturbed-lagrangian", "augmented-lagrangian")
 
@@ -333,7 +333,7 @@ def _offsets(width: float) -> Iterator[tuple[float, float]]:
     """Yield where the middle of a name of some width may stand from its mark [px]."""
     beside = MARK + 3 + width / 2
     yield from ((beside, 0.0), (-beside, 0.0), (0.0, 14.0), (0.0, -14.0))
-    for away in FAR:
+    for away in LINE_OFFSETS:
         for share in (0.0, -0.5, 0.5, -1.0, 1.0):
             for side in (away, -away):
                 yield share * (beside + away / 2), side
@@ -350,7 +350,7 @@ def _overlap(one: Box, other: Box) -> bool:
 def _note(name: str, x: float, y: float, dx: float, dy: float) -> dict[str, Any]:
     """Return a name at a point of logarithmic axes, its middle so many pixels away; from afar with a line."""
     colour = method_style(name).colour
-    far = abs(dy) > FAR[0] - 1
+    far = abs(dy) > LINE_OFFSETS[0] - 1
     return dict(
         name=LABEL,
         x=rounded(x),

@@ -26,9 +26,9 @@ REFINEMENTS = 2
 # Sweeps of equilibration of rows and columns; each halves the exponents of the largest entries.
 SWEEPS = 12
 # The stiffness of springs for testing whether K is definite on the motions with closed contacts.
-HELD = 1e6
+SPRING_STIFFNESS = 1e6
 # Overlaps below this part of the lengths at the contact are rounding.
-ROUNDED = 1e-14
+OVERLAP_ROUNDING = 1e-14
 # The rounding of a length or a force, relative to the lengths and forces at the contact.
 ROUNDED_SLIP = 1e-12
 # The most changes of the combination per contact.
@@ -136,7 +136,7 @@ def by_signs(K: Any, load: Vector, normal: Any, gap: Vector, tie: Any, value: Ve
         u, force = found[:n], np.zeros(m)
         force[B] = found[n : n + len(B)]
         excess = normal @ u - gap
-        rounding = ROUNDED * (abs(normal) @ abs(u) + abs(gap))
+        rounding = OVERLAP_ROUNDING * (abs(normal) @ abs(u) + abs(gap))
         wrong = np.where(closed, np.maximum(-force, 0.0), 0.0), np.where(closed, 0.0, excess - rounding)
         if not np.any(wrong[0] > 0) and not np.any(wrong[1] > 0):
             return u, force, found[n + len(B) :], closed
@@ -184,7 +184,7 @@ def negative_on(K: Any, rows: Any) -> int:
     if K.shape[0] <= DENSE_SIZE:
         values = np.linalg.eigvalsh(restricted(K, rows))
         return int(np.sum(values < -ZERO * np.max(abs(values), initial=0.0)))
-    stiff = HELD * float(np.max(abs(K.diagonal())))
+    stiff = SPRING_STIFFNESS * float(np.max(abs(K.diagonal())))
     return 0 if positive_semidefinite(sp.csc_array(K + stiff * (rows.T @ rows))) else 1
 
 

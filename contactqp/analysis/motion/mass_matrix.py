@@ -32,7 +32,7 @@ RESOLVED_SHARE = 1e-9
 # Lanczos steps for separating the slowest vibration with a long step, and with a known shape.
 LANCZOS_STEPS, STEPS_FROM_KNOWN = 24, 2
 # Ratios below this are rounding of motions held by contacts: a step would be a million times too long.
-HELD = 1e-13
+HELD_RATIO = 1e-13
 # A vector reduced to this part by orthogonalisation lies in the previous space.
 SPANNED = 1e-12
 # The advice if contacts act on all unknowns of a body, such as a single mass.
@@ -270,7 +270,7 @@ def _slowest(
                 vector = vector - (weight @ vector) * other
         size = np.sqrt(max(float(vector @ (mass @ vector)), 0.0))
         shares, turns = np.linalg.eigh(operator[: k + 1, : k + 1])
-        slow = np.flatnonzero((shares > HELD) & (shares < 1 - RESOLVED_SHARE))
+        slow = np.flatnonzero((shares > HELD_RATIO) & (shares < 1 - RESOLVED_SHARE))
         left = size * abs(turns[-1])
         near = slow[(shares[slow] - left[slow] >= enough) & (shares[slow] + left[slow] < 1 - RESOLVED_SHARE)]
         chosen = near[-1] if near.size else slow[-1] if slow.size else None

@@ -230,7 +230,7 @@ def _refuse_twice(card: Card, what: str, labels: Index) -> None:
 
 Amplitudes = dict[str, tuple[Vector, Vector]]
 # The directions that each of these words fixes, among the unknowns of the elements offered here.
-HELD = {
+FIXED_DIRECTIONS = {
     "ENCASTRE": (0, 1, 2), "PINNED": (0, 1, 2), "XSYMM": (0,), "YSYMM": (1,), "ZSYMM": (2,),
     "XASYMM": (1, 2), "YASYMM": (0, 2), "ZASYMM": (0, 1),
 }  # fmt: skip
@@ -265,8 +265,8 @@ def read_boundary(model: DeckModel, loading: Loading, card: Card, scale: float) 
     rotations = 0
     for line, words in card.table("nodes, a first and a last direction, a displacement"):
         nodes = _members(model.node_sets, card, line, words[0])
-        if len(words) == 2 and words[1] in HELD:
-            loading.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in HELD[words[1]])
+        if len(words) == 2 and words[1] in FIXED_DIRECTIONS:
+            loading.supports.extend(AtNodes(nodes, axis, 0.0, line.place) for axis in FIXED_DIRECTIONS[words[1]])
             continue
         if not 2 <= len(words) <= 4:
             raise card.wrong("nodes, a first and a last direction, a displacement", repr(line.text[:40]), line)

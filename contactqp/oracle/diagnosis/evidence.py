@@ -211,8 +211,8 @@ def unit_of(unit: str) -> str:
 # A hypothesis explains an answer if undoing it reduces the error by the first factor, and at most to the second.
 GONE, LEFT = 1e-2, 1e-3
 # Smaller differences count as no error.
-NOTHING = 1e-9
-# Undoing a mistake must reduce the error by this factor even if the rest is below NOTHING.
+NO_ERROR = 1e-9
+# Undoing a mistake must reduce the error by this factor even if the rest is below NO_ERROR.
 LEAST_REDUCTION = 0.1
 
 
@@ -372,7 +372,7 @@ class Evidence:
 
     def explains(self, left: float) -> bool:
         """Return whether a hypothesis that leaves this error explains the answer."""
-        return left <= min(LEFT, GONE * self.before) or left <= NOTHING < LEAST_REDUCTION * self.before
+        return left <= min(LEFT, GONE * self.before) or left <= NO_ERROR < LEAST_REDUCTION * self.before
 
     def passes(self, changed: GivenAnswer, problem: ContactProblem | None = None) -> bool:
         """Return whether the certificate passes a changed answer, or the same answer to another problem.

@@ -35,7 +35,7 @@ MOST_PIVOTS = 400
 # The relative agreement of the floating-point and exact answer of well-posed data.
 AGREE = 1e-6
 # The largest relative asymmetry due to assembly.
-ROUNDED = 1e-14
+ASSEMBLY_ASYMMETRY = 1e-14
 PROVEN = (
     "equilibrium at every unknown",
     "every tie",
@@ -181,7 +181,7 @@ def solution_of(
 
 def symmetrised(problem: ContactProblem) -> tuple[str, ...]:
     """Return a note if the given stiffness has an asymmetry beyond rounding."""
-    if problem.asymmetry <= ROUNDED:
+    if problem.asymmetry <= ASSEMBLY_ASYMMETRY:
         return ()
     return (f"the stiffness is asymmetric as given, by {problem.asymmetry:.3g}: (K + K')/2 is taken",)
 

@@ -267,7 +267,7 @@ MOST_IDLE_ROUNDS = 3
 # A force that exceeds all residuals by this factor is certainly positive.
 STANDS_OUT = 2.0**10
 # A contact whose gap is this multiple of possible corrections stays open.
-FAR = 2.0**20
+STAYS_OPEN = 2.0**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,7 +402,7 @@ class _Walk:
             self._take(self.u, held, self.tie)
             remains = max(*self.residuals, 2.0**-KEPT)
         gap = self.gap.floats() / self._arm / self._size
-        near = ~certain & (gap < FAR * remains)
+        near = ~certain & (gap < STAYS_OPEN * remains)
         power = int(np.floor(-np.log2(remains)))
         held_, loose = np.flatnonzero(certain), np.flatnonzero(near)
         part = self._magnified(held_, loose, power)

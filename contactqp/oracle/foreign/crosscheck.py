@@ -38,7 +38,7 @@ DAT_DIGITS, FRD_DIGITS = 7, 6
 # digit.
 MOVED = 10.0
 # A pair has no force if its forces are below this part of the tolerance times all forces.
-NEGLIGIBLE = 1e-3
+NO_FORCE = 1e-3
 # The rounding of gaps relative to the largest coordinate.
 ROUNDING = 64 * EPS
 # Faces have more Gauss points than nodes, so that frictional forces at them are not unique; for more points than this a
@@ -295,7 +295,7 @@ class _Judging:
         assembly = self.deck.assembly
         held = ~np.isnan(assembly.prescribed)
         rounding = ROUNDING * float(assembly.stiffness.diagonal().max()) * float(abs(assembly.points).max())
-        sizes = [rounding / max(NEGLIGIBLE * self.tolerance, TINY)]
+        sizes = [rounding / max(NO_FORCE * self.tolerance, TINY)]
         sizes += [float(np.linalg.norm(self.deck.assembly.load)), float(np.linalg.norm(self.answer.forces[held]))]
         return max(*sizes, *(float(np.linalg.norm(force.sum(axis=0))) for force in self._truth), 0.0)
 
@@ -317,7 +317,7 @@ class _Judging:
         rounding = float(np.linalg.norm(self.answer.noise[judged.unknowns], axis=1).sum())
         error = max(error, abs(along[0] - along[1]) - rounding)
         noise = self._noise(judged)
-        if size <= NEGLIGIBLE * self.tolerance * self.scale:  # no contact, up to printed digits
+        if size <= NO_FORCE * self.tolerance * self.scale:  # no contact, up to printed digits
             error, each, noise, size = 0.0, np.zeros(1), 0.0, 1.0
         off = Errors(error / size, float(each.max(initial=0.0)) / size)
         mesh, left = self._mesh_errors(number, size), noise / size

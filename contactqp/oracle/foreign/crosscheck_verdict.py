@@ -27,7 +27,7 @@ EDGE = 1e-6
 # A force above this part of the tolerance times the resultant is mentioned.
 WORTH = 0.1
 # A pair has no force if its forces are below this part of the reference's.
-NOTHING = 1e-3
+NO_FORCE = 1e-3
 # Nodes with less than this part of the largest force are not used for a stiffness.
 PUSHING = 0.02
 
@@ -53,7 +53,7 @@ class Found:
 
 def causes_of(found: Found, tolerance: float) -> Iterator[str]:
     """Yield the causes of a pair's difference: no contact, adhesion, springs, a lost edge, forces across gaps."""
-    if abs(found.force).sum() <= NOTHING * found.truth.sum():
+    if abs(found.force).sum() <= NO_FORCE * found.truth.sum():
         yield "it has no contact force: the pair was not found, or its surfaces do not reach each other"
         return
     least = WORTH * tolerance * found.size

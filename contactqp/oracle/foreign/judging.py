@@ -235,13 +235,13 @@ def determined_gaps(problem: ContactProblem, right: Solution) -> Mask:
     moved, scale = np.zeros(problem.contacts, dtype=bool), unknown_scale(problem)
     for motion in right.free_motions:
         largest = np.max(abs(motion.direction) / scale)
-        moved |= abs(problem.normal @ motion.direction) > SAME * largest * (abs(problem.normal) @ scale)
+        moved |= abs(problem.normal @ motion.direction) > SAME_VALUE * largest * (abs(problem.normal) @ scale)
     return ~moved
 
 
 OF_CONTACTS = ("penetration", "tension", "complementarity", "cone", "slip_direction")
 # Without bounds, forces and gaps that differ by less than this part of the largest count as equal.
-SAME = 1e-6
+SAME_VALUE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,7 +350,7 @@ def _measures(
         names.append("gap")
         length = lengths_that_meet(problem, problem.normal, problem.gap, right.displacement)
         apart = abs(found.gap - right.gap) / np.where(np.isfinite(length), length, np.inf)
-        table.append(np.where((apart > SAME) & determined_gaps(problem, right), apart, 0.0))
+        table.append(np.where((apart > SAME_VALUE) & determined_gaps(problem, right), apart, 0.0))
     return names, np.array(table).reshape(len(names), m)
 
 
@@ -361,7 +361,7 @@ def _apart(answer: Answer, right: Solution) -> Vector:
         apart = np.maximum(apart, np.max(abs(answer.friction_force - right.friction_force), axis=1, initial=0.0))
     largest = float(np.max(abs(right.normal_force), initial=0.0)) or float(np.max(abs(answer.normal_force), initial=1))
     relative = apart / largest if largest > 0 else apart
-    return np.where(relative > SAME, relative, 0.0)
+    return np.where(relative > SAME_VALUE, relative, 0.0)
 
 
 def aligned(lines: list[list[str]]) -> list[str]:

@@ -48,7 +48,7 @@ DENSE_ROWS = 1500
 # The largest relative increase of the residual for forces without tension.
 NEARLY_AS_WELL = 1e-9
 # The relative error of zero forces by least squares, over the balanced residual.
-ROUNDED = 16 * EPS
+FIT_ROUNDING = 16 * EPS
 # Forces above this part of the largest count as acting; HiGHS' linear programs have errors of 1e-7.
 ACTING = 1e-6
 
@@ -103,7 +103,7 @@ def _densely(B: Array, r: Vector, pushing_only: Mask, cost: Vector) -> tuple[Vec
         return B @ r, False
     force, _, rank, _ = np.linalg.lstsq(B.T, r, rcond=DEPENDENT_UNIT_ROWS)
     if rank == len(B):  # a force beneath the rounding of the sum is none
-        return np.where(abs(force) > ROUNDED * np.linalg.norm(r), force, 0.0), False
+        return np.where(abs(force) > FIT_ROUNDING * np.linalg.norm(r), force, 0.0), False
     size = float(np.linalg.norm(r))
     if size == 0:
         return np.zeros(len(B)), True
@@ -153,7 +153,7 @@ def _iteratively(B: Any, r: Vector) -> Vector:
 # to its force, with a slack variable if it sticks.
 
 # A gap or a slip below this part of its lengths counts as zero.
-NOTHING = 1e-9
+ZERO_GAP = 1e-9
 # Sides of the polygon that replaces the cone of a sticking contact in space.
 SIDES = 32
 
@@ -177,7 +177,7 @@ def lawful_share(
     residual: Vector,
     tied: bool,
     push: Vector | None = None,
-    none: float = NOTHING,
+    none: float = ZERO_GAP,
 ) -> Answer | None:
     """Return a displacement with contact and tie forces that obey the law, None without friction.
 
@@ -258,7 +258,7 @@ def pressed(problem: ContactProblem, answer: Answer, missing: tuple[str, ...]) -
     if problem.frictional and "friction_force" in missing:
         push = None if "normal_force" in missing else answer.normal_force
         which = " among rows that depend on one another" if shared else ""
-        for none in (NOTHING, TOUCHING):
+        for none in (ZERO_GAP, TOUCHING):
             lawful = lawful_share(problem, answer, residual.double(), "tie_force" in missing, push, none)
             if lawful is not None:
                 yield lawful, f"by equilibrium, shared within the law{which}"

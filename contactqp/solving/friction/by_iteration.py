@@ -114,7 +114,7 @@ class FrictionNewton:
 
 
 # Bounds have converged if they change by less than this part of the largest.
-SETTLED = 5e-10
+BOUNDS_SETTLED = 5e-10
 # The most steps, enough for contraction factors up to 0.9, as in one process.
 MAX_STEPS = 100
 
@@ -217,7 +217,9 @@ class _FixedPoint:
                 raise self._not_converged(f"the friction bounds of step {step} do not hold the bodies") from error
             missing = rows.bound(here.normal_force) - bound
             self.changes.append(self._change(missing, bound))
-            if self.changes[-1] <= SETTLED and self._newton.certifiable(settled := rows.within_law(here, states)):
+            if self.changes[-1] <= BOUNDS_SETTLED and self._newton.certifiable(
+                settled := rows.within_law(here, states)
+            ):
                 return settled, step
             relaxation = aitken(relaxation, before, missing, self._iteration.dot)
             bound, before = np.maximum(bound + relaxation * missing, 0.0), missing

@@ -30,7 +30,7 @@ from functools import cached_property
 import numpy as np
 
 from contactqp.certificate.certificate import holds
-from contactqp.certificate.other_answers import NOTHING
+from contactqp.certificate.other_answers import DISPLACEMENT_ROUNDING
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, condensed_frictional_rows
@@ -296,7 +296,7 @@ def _equilibrated(matrix: Array) -> tuple[Array, Array]:
 
 
 # Displacements are equal if the contacts' displacements agree to this part of the lengths that meet there.
-SAME = 1e-8
+SAME_DISPLACEMENT = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +337,7 @@ def _same(problem: ContactProblem, one: Answer, other: Answer) -> bool:
     """Return whether two displacements move every contact alike, each in the lengths that meet there."""
     weight = np.sqrt(np.where(problem.diagonal > 0, problem.diagonal, np.max(problem.diagonal) or 1.0))
     largest = np.maximum(abs(one.displacement), abs(other.displacement))
-    size = SAME * largest + NOTHING * np.max(weight * largest, initial=0.0) / weight
+    size = SAME_DISPLACEMENT * largest + DISPLACEMENT_ROUNDING * np.max(weight * largest, initial=0.0) / weight
     rows = [problem.normal]
     if problem.tangent is not None and problem.friction is not None:
         rows.append(problem.tangent[problem.friction > 0])  # in the plane, one row a contact
@@ -366,7 +366,7 @@ class _Systems:
             target=target[of_contacts],
             fixed=np.vstack([slope[tied], balance]),
             fixed_right=np.concatenate([(target - base)[tied], drive]),
-            nothing=NOTHING * max(float(np.max(abs(part), initial=0.0)) for part in (base, drive)),
+            nothing=DISPLACEMENT_ROUNDING * max(float(np.max(abs(part), initial=0.0)) for part in (base, drive)),
         )
 
     def plausible(self) -> Iterator[tuple[Status, Answer]]:

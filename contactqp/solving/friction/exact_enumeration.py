@@ -36,7 +36,7 @@ from contactqp.model.solution import Answer, AnswerOf
 from contactqp.solving.friction.enumeration import refuse_many, separate_parts
 
 # The largest difference between exact and given values relative to the largest entry, by rounding and symmetrising.
-ROUNDED = 1e-9
+DATA_ROUNDING = 1e-9
 # Fractions that a message writes out; Python refuses to write thousands of digits.
 LARGEST_WRITTEN = 10**12
 NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_origin", "tie", "tie_value")
@@ -95,7 +95,7 @@ class ExactData:
         if given.size != floats.size:
             raise InvalidProblem(f"{name}: expected {floats.size} exact values, got {given.size}")
         values = [_fraction(name, x) for x in given.ravel()]
-        allowed = Fraction(ROUNDED * float(np.max(abs(floats), initial=0.0)))
+        allowed = Fraction(DATA_ROUNDING * float(np.max(abs(floats), initial=0.0)))
         for value, rounded in zip(values, floats.ravel().tolist(), strict=True):
             if not abs(value - Fraction(rounded)) <= allowed:
                 written = str(value) if abs(value) < LARGEST_WRITTEN else shown(value)

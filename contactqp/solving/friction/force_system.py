@@ -19,7 +19,7 @@ import numpy as np
 
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
-from contactqp.linalg.friction_states import SINGULAR
+from contactqp.linalg.friction_states import SINGULAR_STATES
 from contactqp.model.arrays import Array, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
@@ -93,7 +93,7 @@ class ForceSystem:
         self.factorisations = 0
         # Force per unit of displacement at a single contact.
         compliance = -np.diagonal(self.slope)[: 2 * self.contacts]
-        self.resistance = 1.0 / np.where(compliance > SINGULAR, compliance, 1.0)
+        self.resistance = 1.0 / np.where(compliance > SINGULAR_STATES, compliance, 1.0)
 
     def lengths(self, problem: ContactProblem, reduced_load: Vector) -> Lengths:
         """Return the right-hand sides of a problem's condensed load, gaps, slip origins and tie values."""
@@ -124,7 +124,7 @@ class ForceSystem:
         if self._factor is None or not self._factor.singular:
             return False
         _, values, rotation = np.linalg.svd(self.matrix(status))
-        free = rotation[values <= SINGULAR * values[0], : len(self.slope)]
+        free = rotation[values <= SINGULAR_STATES * values[0], : len(self.slope)]
         return bool(np.any(abs(free) > UNDETERMINED))
 
     def undetermined(self, status: Status) -> bool:
@@ -136,7 +136,7 @@ class ForceSystem:
         if not len(matrix):
             return False
         _, values, rotation = np.linalg.svd(matrix)
-        free = rotation[values <= SINGULAR * values[0]].T
+        free = rotation[values <= SINGULAR_STATES * values[0]].T
         ties = np.ones(len(self.slope) - 2 * self.contacts, dtype=bool)
         # A displacement of none of them does no work and deforms no body.
         moved = self.slope[np.concatenate([self._held(status != OPEN), ties])] @ free
@@ -248,7 +248,7 @@ class _Factor:
         matrix = system.matrix(status)
         self._lu, self._pivots, info = dgetrf(matrix)
         condition = dgecon(self._lu, np.linalg.norm(matrix, 1))[0] if info == 0 and len(matrix) else float(info == 0)
-        self._inverse = np.linalg.pinv(matrix, rcond=SINGULAR) if condition < SINGULAR else None
+        self._inverse = np.linalg.pinv(matrix, rcond=SINGULAR_STATES) if condition < SINGULAR_STATES else None
         self._columns: dict[int, Vector] = {}
 
     @property

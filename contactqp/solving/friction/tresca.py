@@ -39,7 +39,7 @@ MAX_STEPS = 100
 # Bounds below this part of the largest count as zero.
 NO_BOUND = 1e-14
 # Bounds that change by less than this part of the largest have converged; the combination they suggest is then final.
-SETTLED = 1e-13
+BOUNDS_SETTLED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def tresca_on_bodies(
             if holds(problem, answer):
                 return FoundOnBodies(answer, name, tuple(changes))
         changes.append(change)
-        if changes[-1] <= SETTLED:
+        if changes[-1] <= BOUNDS_SETTLED:
             raise NotConverged(
                 "tresca: the bounds have settled where the signs of friction do not hold", tuple(changes)
             )

@@ -43,7 +43,7 @@ LOOSEST = 1e-9
 # If the load is below this part of the forces of the known displacement, the iteration starts from rest.
 UNLOADED = 1e-4
 # With a larger relative error in energy the signs are not examined.
-SETTLED = 1e-4
+SIGNS_SETTLED = 1e-4
 # For a set that another method starts from: the relative error in energy, and the most steps in all (45 are needed on
 # membranes of a million nodes), after which the hierarchy is considered unsuitable.
 IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
@@ -52,7 +52,7 @@ IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
 TURNS, OFTEN = 10, 0.42
 # Forces and lengths below this part of the energy norm of the displacement count as zero (`contactqp.linalg.measures`),
 # a tenth of the certificate's limit.
-NOTHING = 1e-13
+ZERO_BY_ENERGY = 1e-13
 # The error in energy on the set, and its bound, relative to the energy of the contact forces (of the displacement
 # without them), so that the certificate can prove 1e-6.
 ENERGY, BOUND = 1e-7, 3e-7
@@ -236,7 +236,7 @@ class _Search:
             elif self.identifies:
                 if run.steps and error <= self.identified**2 * self._work(run):
                     return FOUND
-            elif error <= SETTLED**2 * self._work(run):
+            elif error <= SIGNS_SETTLED**2 * self._work(run):
                 goal = goal or _Goal(self)
                 if goal.reached(run):
                     return FOUND
@@ -274,7 +274,7 @@ class _Search:
         self.force[on_set] = held.forces(run.residual)
         m, allowed, strained = self.m, SIGN * self.tolerance, self.iteration.elastic(self.x)
         pull = self.iteration.force_measure(self.force, strained, self.problem.load)[:m]
-        compliance, least = self.iteration.own_compliance[:m], NOTHING * self._energy_norm(run)
+        compliance, least = self.iteration.own_compliance[:m], ZERO_BY_ENERGY * self._energy_norm(run)
         pulling = -self.force[:m] * np.sqrt(compliance) > least
         self.tension = pulling & (pull > allowed)
         depth, lengths = self._penetration(), (self.iteration.length_sizes(strained) + abs(self.limit))[:m]
@@ -295,7 +295,7 @@ class _Goal:
         self.sizes = inner + abs(search.problem.load) + outer
         self.equilibrium = EQUILIBRIUM * search.tolerance
         self.size = _size(search)
-        self.nothing = NOTHING * _strain(search) * np.sqrt(iteration.diagonal)
+        self.nothing = ZERO_BY_ENERGY * _strain(search) * np.sqrt(iteration.diagonal)
         self.energy = search.energy * self.size
         self.iteration, self.on_set = (
             iteration,

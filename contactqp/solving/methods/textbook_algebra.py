@@ -318,7 +318,7 @@ def with_idle_motions_held(problem: ContactProblem, condensation: Condensation) 
 
 
 # Components of a dependent unit row, and products of unit rows with unit motions, below this are rounding errors.
-NEGLIGIBLE = 1e-10
+ROW_ROUNDING = 1e-10
 # The condition number up to which rows are considered to share the rounding errors of motions.
 PASSED_ON = 1e-6
 
@@ -363,7 +363,7 @@ class FloatingBodies:
         if not r:
             return True
         felt = np.linalg.svd(unit_rows @ self.rigid, compute_uv=False)
-        return bool(np.count_nonzero(felt > NEGLIGIBLE) == r)
+        return bool(np.count_nonzero(felt > ROW_ROUNDING) == r)
 
     def carried(self, rows: Any, forces: Vector) -> Vector:
         """Return the rounding errors of row forces on floating bodies by those of the forces (n,).
@@ -373,7 +373,7 @@ class FloatingBodies:
         if not self.rigid.shape[1]:
             return np.zeros(rows.shape[0])
         moved = self.unit(rows) @ self.rigid
-        shared = (abs(moved) > NEGLIGIBLE) + abs(np.linalg.pinv(moved.T, rcond=PASSED_ON))
+        shared = (abs(moved) > ROW_ROUNDING) + abs(np.linalg.pinv(moved.T, rcond=PASSED_ON))
         length = np.linalg.norm((rows @ sp.diags(self.scale)).toarray(), axis=1)
         noise = 16 * EPS * (shared @ (abs(self.rigid).T @ (self.scale * forces)))
         return np.asarray(noise / np.where(length > 0, length, 1.0))

@@ -32,7 +32,7 @@ from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 from contactqp.solving.methods.stick_and_slip import FrictionalStep
 from contactqp.solving.methods.textbook_algebra import (
-    NEGLIGIBLE,
+    ROW_ROUNDING,
     TEXTBOOK_ROUNDING,
     FloatingBodies,
     SingularSystem,
@@ -129,7 +129,7 @@ class Sets:
         """Return the least k in B with c_k > 0, E_i = c'[E_B; A]; unless one of these opens, E_i u cannot decrease."""
         rows = np.vstack([self.bodies.normal[closed], self.bodies.tie])
         weights = np.linalg.lstsq(rows.T, self.bodies.normal[entering][0], rcond=None)[0][: np.count_nonzero(closed)]
-        blocking = np.flatnonzero(closed)[weights > NEGLIGIBLE]
+        blocking = np.flatnonzero(closed)[weights > ROW_ROUNDING]
         if blocking.size == 0:
             raise NotConverged(f"{self.name}: {self._named(entering)} is penetrated and no closed contact can give way")
         return int(blocking[0])
@@ -138,11 +138,11 @@ class Sets:
         """Return the open contact of least index that stops the body when contact i opens."""
         rows = np.vstack([self.bodies.normal[others], self.bodies.tie, self.bodies.normal[leaving]]) @ self.bodies.rigid
         opening = np.append(np.zeros(len(rows) - 1), -1.0)
-        coordinates = np.linalg.lstsq(rows, opening, rcond=NEGLIGIBLE)[0]
-        if np.linalg.norm(rows @ coordinates - opening) > np.sqrt(NEGLIGIBLE):
+        coordinates = np.linalg.lstsq(rows, opening, rcond=ROW_ROUNDING)[0]
+        if np.linalg.norm(rows @ coordinates - opening) > np.sqrt(ROW_ROUNDING):
             raise NotConverged(f"{self.name}: the system of equations is singular without {self._named(leaving)}")
         approach = self.bodies.normal @ self.bodies.rigid @ (coordinates / np.linalg.norm(coordinates))
-        ahead = np.flatnonzero(~others & ~leaving & (approach > NEGLIGIBLE))
+        ahead = np.flatnonzero(~others & ~leaving & (approach > ROW_ROUNDING))
         if ahead.size == 0:
             raise NotConverged(f"{self.name}: nothing stops the body that the load drives off {self._named(leaving)}")
         return int(ahead[0])

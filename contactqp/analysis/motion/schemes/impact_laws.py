@@ -47,7 +47,7 @@ NO_REBOUND = 1e-6
 # The most touched unknowns for which contact rows are stored dense.
 MOST_DENSE = 60
 # A predicted gap below this part of its lengths is zero.
-TOUCHING = 64 * EPS
+GAP_ROUNDING = 64 * EPS
 
 
 class MoreauJean(Scheme):
@@ -67,7 +67,7 @@ class MoreauJean(Scheme):
         if len(self._touched) <= MOST_DENSE:
             self._normal = self._normal.toarray()  # a sparse product is ten times slower than a small dense one
         self._normal_size = abs(self._normal)
-        self._touching_gap = TOUCHING * abs(body.problem.gap)
+        self._touching_gap = GAP_ROUNDING * abs(body.problem.gap)
         self._no_rebound = np.zeros(body.problem.contacts)
         self._inertia_of_touched = self.templates[0].diagonal[self._touched]
 
@@ -79,7 +79,7 @@ class MoreauJean(Scheme):
         force += h * (load if load is next_load else theta * next_load + (1 - theta) * load)
         ahead = u[self._touched] + h / 2 * v[self._touched]
         room = body.problem.gap - self._normal @ ahead
-        near = room <= self._touching_gap + TOUCHING * (self._normal_size @ abs(ahead))
+        near = room <= self._touching_gap + GAP_ROUNDING * (self._normal_size @ abs(ahead))
         return StepProblem(force, self._rebound(v, force) if self._restitution else self._no_rebound, near)
 
     def _rebound(self, velocity: Vector, force: Vector) -> Vector:
