@@ -29,6 +29,42 @@ def test_a_chain_at_rest_on_a_rough_cylinder_is_where_it_is_and_slides_by_the_ca
     np.testing.assert_allclose(sliding[1:] / sliding[:-1], (1 + half) / (1 - half), rtol=1e-4)
 
 
+def _pulled_over_a_quarter(links: int, pull: float) -> tuple[cq.LargeHistory, float]:
+    """Return the history of a chain over a quarter of a cylinder, pulled by 1 at both ends and then harder at one, and
+    the ratio of the forces of nodes that slide.
+    """
+    mu, angles = 0.3, np.pi - np.pi / 2 * np.arange(links + 1) / links
+    nodes = np.column_stack([np.cos(angles), np.sin(angles)])
+    chain = cq.NonlinearTruss(nodes, [[i, i + 1] for i in range(links)], modulus=1e6, area=1.0)
+    both = np.zeros(2 * links + 2)
+    both[1] = -1.0
+    one = both.copy()
+    both[-2], one[-2] = 1.0, pull
+    cylinder = cq.ObstacleContact(nodes, cq.Circle([0.0, 0.0], 1.0))
+    half = mu * np.tan(np.pi / 4 / links)
+    return cq.large_deformation(chain, [both, one], cylinder, steps=4, friction=mu), (1 + half) / (1 - half)
+
+
+def test_nodes_that_slid_in_an_earlier_step_may_hold_a_chain_near_its_greatest_pull() -> None:
+    """Near 1.5 all nodes are at their bounds, those near the weaker end from the first leg: if all of them slid on,
+    nothing would hold the chain, and no halving of the step changes that.
+    """
+    history, ratio = _pulled_over_a_quarter(24, 1.5218787687182387)
+    last = history[-1]
+    assert len(history) == 9
+    assert last.certificate.passed
+    assert last.contact_status[4:].tolist() == ["slip"] * 21
+    np.testing.assert_allclose(last.normal_force[5:-1] / last.normal_force[4:-2], ratio, rtol=1e-4)
+
+
+def test_a_chain_pulled_harder_than_friction_holds_says_what_may_help() -> None:
+    """The greatest pull is about exp(0.3 pi/2) = 1.602."""
+    words = r"load factor 1.75: .*down to 1/16 converge: take more steps, unless nothing balances that load"
+    with pytest.raises(cq.NotConverged, match=words) as caught:
+        _pulled_over_a_quarter(8, 1.9)
+    assert caught.value.history[-1].load_factor == 1.5
+
+
 def test_a_node_that_lands_on_top_of_a_ball_and_stays_there_unstable_does_not_snap():
     """By symmetry nothing moves it, although 2 E A / L = 2 cannot hold it against its load on so small a ball."""
     post = cq.NonlinearTruss([[-2, 1], [0, 1], [2, 1], [0, 3]], [[0, 1], [1, 2], [1, 3]], 2.0, 1.0, law="engineering")

@@ -6,6 +6,7 @@ found by the signs of forces and gaps.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -222,8 +223,10 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
 
     Starting with the states of `forces`, states are changed where the answer violates the law: contacts in tension
     open, overlapping ones close and stick, friction beyond mu l_N slips, slip against its friction sticks. All are
-    changed at once until a combination is repeated, then one contact at a time, which closes with slip as it moved.
-    Rows, gaps, slip origins and ties are those of `problem`, which has one tangent per contact.
+    changed at once until a combination is repeated, then once more from closed contacts that all stick: contacts that
+    slipped in an earlier step are still at their bounds, and with all of them slipping on nothing may hold the body.
+    Then one contact is changed at a time, which closes with slip as it moved. Rows, gaps, slip origins and ties are
+    those of `problem`, which has one tangent per contact.
 
     Raises NotConverged: a singular system, or repeated combinations.
 
@@ -236,8 +239,22 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
     """
     if problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         raise ValueError("friction of a problem without tangential rows")
-    status = _states(problem.friction, forces)
-    seen, one_by_one = set[bytes](), False
+    first = _states(problem.friction, forces)
+    sticking = np.where(first == OPEN, OPEN, STICK).astype(np.int8)
+    for start, one_by_one in ((first, False), (sticking, False), (first, True), (sticking, True)):
+        with suppress(NotConverged):
+            return _by_changes(K, problem, load, start, one_by_one)
+    raise NotConverged("the combination of stick and slip comes back: the tangent is indefinite there")
+
+
+def _by_changes(
+    K: Any, problem: ContactProblem, load: Vector, status: Status, one_by_one: bool
+) -> tuple[Vector, Forces]:
+    """Change the states that violate the law until none does, all at once or one by one.
+
+    Raises NotConverged: a singular system, or a repeated combination.
+    """
+    seen = set[bytes]()
     for _ in range(CHANGES * (problem.contacts + 1)):
         answer = _on(K, problem, load, status)
         changed = _lawful(problem, answer, status, one_by_one)
@@ -245,16 +262,13 @@ def coulomb_by_signs(K: Any, problem: ContactProblem, load: Vector, forces: Forc
         if not differ.size:
             return answer.increment, Forces(answer.normal, answer.tie, answer.friction[:, None])
         if status.tobytes() in seen:
-            if one_by_one:
-                break
-            one_by_one, seen = True, set()
-        else:
-            seen.add(status.tobytes())
-        status = status.copy()
+            break
+        seen.add(status.tobytes())
         if one_by_one:  # the last contact that violates the law (Murty's rule), which ends if the answer is unique
             differ = differ[-1:]
+        status = status.copy()
         status[differ] = changed[differ]
-    raise NotConverged("the combination of stick and slip comes back: the tangent is indefinite there")
+    raise NotConverged("a combination of stick and slip comes back")
 
 
 def _states(coefficient: Vector, forces: Forces) -> Status:

@@ -22,7 +22,7 @@ from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import contact_status
 from contactqp.elements.deformable import ContactGeometry, LinearisedContacts
 from contactqp.errors import NotCertified, NotConverged, Unsupported
-from contactqp.model.arrays import TINY, Array, Vector
+from contactqp.model.arrays import TINY, Array, Vector, time_is_up
 from contactqp.model.solution import Answer, Work
 
 # The most successive halvings of a step that does not converge.
@@ -96,7 +96,8 @@ class LoadControl:
         except NotConverged as error:
             so_far = LargeHistory(solutions, notes, snaps=snaps)
             last = solutions[-1] if solutions else None
-            raise NotConverged(f"large_deformation: at load factor {t:.6g}: {error}", so_far, last) from error
+            words = "" if last is None else _cure()
+            raise NotConverged(f"large_deformation: at load factor {t:.6g}: {error}{words}", so_far, last) from error
         except NotCertified as error:
             raise NotCertified(f"large_deformation: at load factor {t:.6g}: {error}", error.solution) from error
         except Unsupported as error:
@@ -219,6 +220,14 @@ class LoadControl:
         j = int(np.argmax(abs(end - start)))
         located = high - low <= LOCATED * (t - before.load_factor)
         return Snap(low, high, located, j, float(start[j]), float(end[j]))
+
+
+def _cure() -> str:
+    """Return what may help where a step and its halves do not converge; nothing where the time limit ended it."""
+    if time_is_up():
+        return ""
+    parts = f"parts of the step down to 1/{2**MOST_HALVINGS}"
+    return f"; nor do {parts} converge: take more steps, unless nothing balances that load"
 
 
 def forces_of(solution: LargeSolution) -> Forces:
