@@ -27,7 +27,16 @@ from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
 from contactqp.linalg.floating import as_stated, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
-from contactqp.linalg.measures import bodies, given_on, outer_forces, parts, row_sizes, scale_through_rows, untouched
+from contactqp.linalg.measures import (
+    bodies,
+    driven_parts,
+    given_on,
+    outer_forces,
+    parts,
+    row_sizes,
+    scale_through_rows,
+    untouched,
+)
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
@@ -75,7 +84,7 @@ def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
     """Return the rounding in extended precision of forces (n,) from elsewhere in each part [force].
 
     A tie may connect an unknown without stiffness to a loaded one without a force. In a part without stiffness forces
-    are compared by their effect on rows.
+    are compared by their effect on rows. Where nothing acts, as along a bent beam, they are rounding of other parts.
     """
     D, part = scale_through_rows(problem), parts(problem)
     most = np.zeros(int(part.max(initial=-1)) + 1)
@@ -84,6 +93,7 @@ def rounded_within_parts(problem: ContactProblem, meeting: Vector) -> Vector:
         D = given_on(problem, np.where(bare[part] & (meeting == most[part]) & (meeting > 0), 1.0, D))
         most[:] = 0.0
     np.maximum.at(most, part, D * meeting)
+    most[~driven_parts(problem, part)] = most.max(initial=0.0)
     return np.divide(NO_FORCE * most[part], D, out=np.zeros_like(D), where=D > 0)
 
 
@@ -97,18 +107,13 @@ def work_that_meets(problem: ContactProblem, answer: Answer) -> float:
     return float(abs(problem.load) @ moved + contacts + abs(answer.tie_force) @ tied)
 
 
-def rounded_outward(problem: ContactProblem, answer: Answer, lower: float, upper: float) -> tuple[float, float]:
-    """Return bounds of the least energy, wider by the rounding of the numbers from which they were formed.
+def rounded_outward(problem: ContactProblem, answer: Answer, energy_bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return bounds of the least energy, wider by the rounding of the numbers that formed them [force * length].
 
     These are a few roundings of the energy's terms. The upper one also includes the energy of the answer as doubles
     form it, which rounds sums of n products. The verdict takes the bounds before this.
-
-    Parameters
-    ----------
-    problem, answer : what is certified
-    lower, upper : the bounds in doubles [force * length]
     """
-    moved = abs(answer.displacement)
+    (lower, upper), moved = energy_bounds, abs(answer.displacement)
     with np.errstate(over="ignore", invalid="ignore"):
         terms = 0.5 * float(moved @ (problem.stiffness_sizes @ moved)) + float(problem.load_size @ moved)
         formed = max(problem.energy(answer.displacement), upper)
@@ -158,9 +163,8 @@ def strain_of(
 
     Parameters
     ----------
-    problem : ContactProblem
+    problem, condensation : ContactProblem, and its Condensation
     solution : Extended (n,), the displacement
-    condensation : that of the problem
     forces : Extended (m,) and Extended (k,), or None, those of contacts and ties, if they are known
     """
     norm, uncertain = energy_norm(problem, solution)
@@ -181,8 +185,7 @@ def free_distance(
 
     Parameters
     ----------
-    problem : ContactProblem
-    condensation : that of the problem
+    problem, condensation : ContactProblem, and its Condensation
     saddle : the factorised system of the closed contacts, which leaves the motions free
     apart : Extended (n,), the distance
     energy_scale : |u*|_K of the solution
@@ -242,8 +245,7 @@ def shared_by_rounding(
 
     Parameters
     ----------
-    problem : ContactProblem
-    condensation : that of the problem
+    problem, condensation : ContactProblem, and its Condensation
     saddle : the factorised system of the closed contacts
     displacement : (n,) array [length], whose rigid part makes the forces
     cleared : the part of all forces that K was cleared of

@@ -360,7 +360,7 @@ def _verdict(
         passed=not failures,
         proven=claimed.proven,
         basis=measured.state.basis if claimed is bounds else claimed.basis,
-        energy_bounds=bounds.energy_bounds and rounded_outward(problem, answer, *bounds.energy_bounds),
+        energy_bounds=bounds.energy_bounds and rounded_outward(problem, answer, bounds.energy_bounds),
         determined=bounds.determined,
         distance=measured.state.distance,
         scope=(bounds.scope or GLOBALLY) if claimed.proven else None,

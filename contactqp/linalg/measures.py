@@ -155,7 +155,7 @@ def intrinsic_size(problem: ContactProblem, answer: Any, elastic: Vector) -> Vec
         least = float(np.min(gaps[np.isfinite(gaps) & (gaps > 0)], initial=np.inf))
         whole = max(whole, least if np.isfinite(least) else 0.0)
         return np.full(len(part), whole)
-    return np.asarray(np.where(_driven(problem, part), np.maximum(size, BESIDE_OTHERS * whole), whole)[part])
+    return np.asarray(np.where(driven_parts(problem, part), np.maximum(size, BESIDE_OTHERS * whole), whole)[part])
 
 
 def _strain(problem: ContactProblem, part: Indices, elastic: Vector) -> Vector:
@@ -164,7 +164,7 @@ def _strain(problem: ContactProblem, part: Indices, elastic: Vector) -> Vector:
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def _driven(problem: ContactProblem, part: Indices) -> Mask:
+def driven_parts(problem: ContactProblem, part: Indices) -> Mask:
     """Return which parts have a load, an overlap, a tie value or a slip origin."""
     driven = np.zeros(int(part.max(initial=-1)) + 1, dtype=bool)
     driven[part[problem.load_size > 0]] = True

@@ -161,3 +161,40 @@ def test_a_tie_force_of_rounding_needs_no_balance_where_nothing_is_stiff(noise: 
     judged = cq.certify(problem, [0, -0.875, 0], [0, 13, 11.75, 0], None, [noise, 0.875])
     assert judged.proven
     assert not cq.certify(problem, [0, -0.875, 0], [0, 13, 11.75, 0], None, [1e-3, 0.875]).passed
+
+
+def hinged_beam(turned: float) -> cq.ContactProblem:
+    """A clamped beam, EI = EA = 1, of length 1; a hinge; two elements of 1/2 under a force -2 between; a roller."""
+
+    def element(length: float) -> np.ndarray:
+        bent, ends = np.array([[12, 6], [6, 4]]) / [[length**3, length**2], [length**2, length]], np.zeros((6, 6))
+        ends[np.ix_([1, 2], [1, 2])], ends[np.ix_([4, 5], [4, 5])] = bent, bent * [[1, -1], [-1, 1]]
+        ends[np.ix_([1, 2], [4, 5])] = [[-bent[0, 0], bent[0, 1]], [-bent[0, 1], bent[1, 1] / 2]]
+        ends[np.ix_([4, 5], [1, 2])] = ends[np.ix_([1, 2], [4, 5])].T
+        ends[np.ix_([0, 3], [0, 3])] = [[1 / length, -1 / length], [-1 / length, 1 / length]]
+        c, s = np.cos(turned), np.sin(turned)
+        across = np.kron(np.eye(2), [[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        return np.asarray(across.T @ ends @ across)
+
+    stiffness = np.zeros((12, 12))
+    stiffness[:3, :3] = element(1.0)[3:, 3:]
+    for first in (3, 6):
+        stiffness[first : first + 6, first : first + 6] += element(0.5)
+    down = np.array([np.sin(turned), -np.cos(turned)])
+    load, roller = np.zeros(12), np.zeros((1, 12))
+    load[6:8], roller[0, 9:11] = 2 * down, down
+    hinge = np.eye(2, 12) - np.eye(2, 12, 3)
+    return cq.ContactProblem(stiffness, load, roller, [0.25], tie=hinge, tie_value=[0.0, 0.0])
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5, np.pi / 2])
+def test_a_bent_beam_with_a_hinge_is_proven_also_where_nothing_acts_along_it(turned: float) -> None:
+    """The axial force of the hinge is rounding of the bending ones, and no force that a rigid motion leaves."""
+    for units in (1.0, 1e3):
+        beam = hinged_beam(turned)
+        lengths = np.where(np.arange(12) % 3 == 2, units, 1.0)
+        beam = beam.replace(stiffness=beam.stiffness * np.outer(lengths, lengths))
+        found = cq.solve(beam)
+        assert found.normal_force == pytest.approx([1.0], rel=1e-12)
+        assert found.certificate.proven, found.certificate
+        assert found.certificate.force_bound <= 1e-12
