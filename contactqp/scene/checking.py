@@ -20,10 +20,7 @@ if TYPE_CHECKING:
     from contactqp.scene.schema import SceneData, Tie
 
 # The lists of the file whose entries have names, beside the blocks of elements.
-_LISTS = (
-    "ties", "obstacles", "contacts", "bodies", "membranes", "supports", "line_loads", "tractions", "pressures",
-    "point_loads",
-)  # fmt: skip
+_LISTS = ("ties", "obstacles", "contacts", "bodies", "membranes", "supports")
 _VECTORS = {
     "obstacles": ("point", "normal", "centre", "apex", "axis"),
     "contacts": ("direction", "slip_origin"),

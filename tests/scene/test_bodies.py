@@ -333,3 +333,15 @@ def test_a_side_closes_with_its_first_node_and_opens_with_its_last():
     judgement = judge(Scene(**PRESSED | changes, expect=expect), Trial())
     assert judgement.met, judgement.expectations
     assert len([event for event in judgement.history.events if event.kind == "closed"]) == 5
+
+
+def test_loads_of_one_name_on_several_sides_share_a_factor():
+    """A block, pressed by one traction and a half on the same side, in two loads of one name."""
+    press = {"name": "press", "side": "block.right", "value": "100 MPa"}
+    across = {"name": "press", "side": "block.right", "value": ["-50 MPa", "0 MPa"]}
+    path = {"steps": 1, "corners": [{"press": 2}]}
+    one = PRESSED | {"pressures": [press | {"value": "300 MPa"}], "path": path | {"corners": [{"press": 1}]}}
+    several = PRESSED | {"pressures": [press, press | {"value": "0 MPa"}], "tractions": [across], "path": path}
+    expected = cq.run(Scene(**one))[-1].displacement
+    np.testing.assert_allclose(cq.run(Scene(**several))[-1].displacement, expected, rtol=1e-12, atol=1e-15)
+    assert abs(expected).max() > 1e-3

@@ -193,6 +193,14 @@ def test_a_line_load_comes_with_its_corner_of_the_path():
         Scene(**WIRE | {"path": {"corners": [{"pull": 1}]}, "fixed": fixed, "loads": pull})
 
 
+def test_loads_of_one_name_share_a_factor():
+    pull = [{"name": "snow", "unknown": "b.z", "value": "-2 N"}]
+    twice = [WIRE["line_loads"][0], WIRE["line_loads"][0]]
+    changes = {"path": {"corners": [{"snow": "1/2"}]}, "fixed": ["a", "c", "b.x"], "loads": pull}
+    scene = Scene(**WIRE | changes | {"line_loads": twice})
+    np.testing.assert_allclose(cq.run(scene)[-1].displacement, [(-2 - 15 - 15) / 2 / (64 / 5)], rtol=1e-14)
+
+
 def test_strings_stand_in_scenes_of_nodes_in_two_dimensions_or_three():
     flat = {"nodes": [{"name": n, "at": [f"{i} m"]} for i, n in enumerate("abc")], "axes": ["x"], "line_loads": []}
     with pytest.raises(cq.SceneError, match="strings: expected a scene with two axes or three"):
