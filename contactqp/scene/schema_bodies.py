@@ -82,6 +82,8 @@ class Shape(Block):
                 raise ValueError(
                     f"{name}: expected {keys.dimension} components for a {self.kind}, got {len(getattr(self, name))}"
                 )
+        if self.towards is not None and self.grading is None:
+            raise ValueError("towards: expected with 'grading', without which all elements have one size")
         return self
 
     @property

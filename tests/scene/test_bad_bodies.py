@@ -135,7 +135,12 @@ MUTATIONS = {
         "divisions[1] ('lower'): expected a whole number",
     ),
     "grading below one": ("grading = 2", "grading = 0.5", "expected a ratio of sizes of at least 1, got 0.5"),
-    "grading to nowhere": ("grading = 2", 'towards = ["up"]', "bodies[0] ('lower'): shape: expected `towards`"),
+    "grading to nowhere": ("= 2", '= 2, towards = ["up"]', "bodies[0] ('lower'): shape: expected `towards`"),
+    "towards without grading": (
+        "grading = 2",
+        'towards = ["top"]',
+        "towards: expected with 'grading', without which",
+    ),
     "size without a unit": ('size = ["2 mm", "1 mm"]', "size = [2, 1]", "bodies[0].shape.size[0] ('lower')"),
     "flat": ('size = ["2 mm", "1 mm"]', 'size = ["2 mm", "0 mm"]', "expected a positive number"),
     "negative modulus": (
