@@ -216,7 +216,7 @@ def _settings(entry: SchemeEntry, theta: Any, restitution: Any, penalty: Any) ->
     for name, is_given in given.items():
         if is_given and name not in entry.knobs:
             takers = ", ".join(other for other, its in SCHEMES.items() if name in its.knobs)
-            raise InvalidProblem(f"{name}: the scheme {entry.name!r} has none; {takers} take one")
+            raise InvalidProblem(f"{name}: the scheme {entry.name!r} has none, only {takers}")
     if penalty is not None:
         refuse_not_positive("penalty", penalty)
     return SchemeSettings(float(theta), float(restitution), None if penalty is None else float(penalty))

@@ -264,7 +264,7 @@ class Motion(Block):
         for name in ("theta", "restitution", "penalty"):
             if getattr(self, name) is not None and name not in SCHEMES[self.scheme].knobs:
                 takers = ", ".join(other for other, kind in SCHEMES.items() if name in kind.knobs)
-                raise ValueError(f"{name}: the scheme {self.scheme!r} has none; {takers} take one")
+                raise ValueError(f"{name}: the scheme {self.scheme!r} has none, only {takers}")
         if self.scheme == "penalty" and self.penalty is None:
             raise ValueError("penalty: expected for the scheme 'penalty', and missing")
         if self.steps > MOST_STEPS:

@@ -42,8 +42,11 @@ BALL: dict[str, Any] = dict(
         (dict(scheme="magic"), "scheme: expected one of moreau-jean, .*, got 'magic'"),
         (dict(theta=0.3), "theta: expected a number from 0.5 to 1, got 0.3"),
         (dict(restitution=1.2), "restitution: expected a number from 0 to 1, got 1.2"),
-        (dict(restitution=0.5, scheme="newmark"), "restitution: the scheme 'newmark' has none; moreau-jean, paoli"),
-        (dict(penalty=1e3), "penalty: the scheme 'moreau-jean' has none; penalty take one"),
+        (
+            dict(restitution=0.5, scheme="newmark"),
+            "restitution: the scheme 'newmark' has none, only moreau-jean, paoli",
+        ),
+        (dict(penalty=1e3), "penalty: the scheme 'moreau-jean' has none, only penalty"),
         (
             dict(damping=[[1.0]]),
             "impact: unknown argument 'damping'; beside options of 'active-set' it takes ",

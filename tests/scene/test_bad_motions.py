@@ -68,7 +68,7 @@ WRONG = {
     "a knob of another scheme": (
         '"moreau-jean"',
         '"newmark"',
-        "theta: the scheme 'newmark' has none; moreau-jean take",
+        "theta: the scheme 'newmark' has none, only moreau-jean",
     ),
     "restitution beyond one": ("theta = 0.75", "restitution = 2", "restitution: expected a number from 0 to 1, got 2"),
     "no penalty": (
