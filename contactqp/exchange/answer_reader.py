@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -85,12 +85,15 @@ def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any
     return AnswerFile(parts, ledger)
 
 
-# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, tau_1, dual, ...; reactions of
-# supports, and coefficients, are none.
+# Names that codes give to contact forces and pressures: CNORMF, CPRESS, fn, lambda, tau_1, dual, RCFORC, marginals,
+# percussion, ...; coefficients are none.
 LIKE_FORCES = re.compile(
-    r"(?!react|.*coefficient$)(?:.*(?:force|frict|press|traction|lambda|multiplier|shear|normf)|f_?[nct]"
-    r"|(?:tau|[lrt]_?[nt])_?[\dxyz]?$|t_?\d$|duals?$)"
+    r"(?!react|.*coefficient$)(?:.*(?:forc|frict|press|traction|lambda|lamda|lmbda|lagrang|multiplier|shear|normf)"
+    r"|.*(?:percussion|impulse)s?|f_?[nct]|(?:tau|[lrt]_?[nt])_?[\dxyz]?$|t_?\d$|(?:dual|marginal)s?$|lags_?c$"
+    r"|(?:.*_)?lm$)"
 )
+# Names of reactions: those of supports in most codes, those of contacts in Siconos, which calls them r too.
+LIKE_REACTIONS = re.compile(r"r$|(?:.*_)?react(?:ion)?s?(?:_.*)?$")
 LIKE_DISPLACEMENTS = re.compile(r"disp(?:l(?:acements?)?)?s?$")
 
 
@@ -104,7 +107,27 @@ def unread_part(name: str) -> str | None:
     return "forces" if LIKE_FORCES.match(plain) else None
 
 
-def refuse_unread(path: Path, name: str, values: Any, problem: ContactProblem, of_program: bool = False) -> None:
+def has_contact_forces(names: Iterable[str]) -> bool:
+    """Return whether any of the names in a file is one under which normal forces or pressures are read."""
+    return any(part_called(name) in ("normal_force", "normal_pressure") for name in names)
+
+
+def reactions_of_contacts(name: str, values: Any, problem: ContactProblem) -> bool:
+    """Return whether reactions may be those of contacts: unless they are stated by names that no contact has."""
+    if not LIKE_REACTIONS.match(name.strip().lower()):
+        return False
+    names = set(names_of(problem, "normal_force"))
+    return not isinstance(values, dict) or names.issuperset(values) or all(map(str.isdecimal, values))
+
+
+def refuse_unread(
+    path: Path,
+    name: str,
+    values: Any,
+    problem: ContactProblem,
+    of_program: bool = False,
+    forces_are_read: bool = False,
+) -> None:
     """Refuse numbers that are called like contact forces or displacements where no part of an answer is read from
     them, so that wrong ones cannot pass unread.
 
@@ -123,8 +146,13 @@ def refuse_unread(path: Path, name: str, values: Any, problem: ContactProblem, o
         Whose sizes they are held against.
     of_program : bool
         Whether the file is the answer to a quadratic program, where any number of values is refused.
+    forces_are_read : bool
+        Whether the file states contact forces under another name. Without them reactions may be those of contacts and
+        are refused; beside them they are those of supports.
     """
     like = unread_part(name)
+    if like is None and not forces_are_read and reactions_of_contacts(name, values, problem):
+        like = "forces"
     if like is None or not isinstance(values, (list, dict, np.ndarray)):
         return
     try:

@@ -26,9 +26,11 @@ import scipy.sparse as sp
 from contactqp.errors import BackendMissing, InvalidProblem
 from contactqp.exchange import matrix_files, numpy_files, text_matrices
 from contactqp.exchange.answer_reader import (
+    LIKE_REACTIONS,
     AnswerFile,
     AnswerReader,
     answer_of_names,
+    has_contact_forces,
     names_of,
     part_called,
     places,
@@ -84,7 +86,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
                 raise wrong(path, key, "one or two components a contact, along the rows of E_T", "vectors along axes")
             part = None
         elif part is None and not printed:
-            refuse_unread(path, key, values, problem)
+            refuse_unread(path, key, values, problem, forces_are_read=has_contact_forces(data))
         if part is None or values is None:
             ledger.ignored.extend([] if printed else [f"{key:.60}"])
             continue
@@ -232,9 +234,10 @@ def _refuse_unread(table: Table, column: str) -> None:
     like, key = unread_part(column), table.columns[0]
     if like == "displacements" and key in ("dof", "unknown"):
         raise wrong(table.path, f"column {column:.60}", "displacement", "a name under which none are read")
-    if part_called(column) is None and like != "forces":
-        return
     of_contacts = key == "contact"
+    reactions = of_contacts and not has_contact_forces(table.columns) and LIKE_REACTIONS.match(column.lower())
+    if part_called(column) is None and like != "forces" and not reactions:
+        return
     expected = "normal_force or friction_force" if of_contacts else "forces in a table whose first column is contact"
     raise wrong(table.path, f"column {column:.60}", expected, f"it in a table by {key}")
 
@@ -293,7 +296,7 @@ def read_npz_answer(path: Path, problem: ContactProblem) -> AnswerFile:
         part = part_called(name)
         if part is None:
             refuse_unit(path, name)
-            refuse_unread(path, name, values, problem)
+            refuse_unread(path, name, values, problem, forces_are_read=has_contact_forces(arrays))
             ledger.ignored.append(f"{name:.60}")
             continue
         if part in parts:
@@ -360,10 +363,11 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     """Return the files of a folder that are called like parts of an answer; raises as `read_array_answer`."""
     ledger, named, tie_names = Ledger(str(path)), frozenset[str](), None
     parts: dict[str, Array] = {}
+    forces_are_read = has_contact_forces(file.stem for file in FilePath(path).iterdir())
     for file in sorted(FilePath(path).iterdir()):
         part = part_called(file.stem)
         if part is None or file.is_dir():
-            _refuse_unread_file(file, problem)
+            _refuse_unread_file(file, problem, forces_are_read)
             ledger.ignored.append(file.name)
             continue
         if part in parts:
@@ -382,7 +386,7 @@ def read_folder_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     return AnswerFile(parts, ledger, named, tie_names)
 
 
-def _refuse_unread_file(file: FilePath, problem: ContactProblem) -> None:
+def _refuse_unread_file(file: FilePath, problem: ContactProblem, forces_are_read: bool) -> None:
     """Refuse a file that holds parts of an answer, or is called like forces and holds them, and would not be read.
 
     Raises InvalidProblem: there is such a part in it.
@@ -392,13 +396,15 @@ def _refuse_unread_file(file: FilePath, problem: ContactProblem) -> None:
     try:
         table = any(is_table(file, key) for key in KEYS)
         held = read_table_answer(file, problem).parts if table else {}
-        values = matrix_files.read_matrix(file).matrix if unread_part(file.stem) and not table else None
+        like = unread_part(file.stem) or LIKE_REACTIONS.match(file.stem.lower())
+        values = matrix_files.read_matrix(file).matrix if like and not table else None
     except (InvalidProblem, BackendMissing):
         return
     if held:
         raise wrong(file.parent, file.name, f"a file called like what it holds ({', '.join(held)})", "another name")
     if values is not None:
-        refuse_unread(file.parent, file.stem, _dense(file, values), problem)
+        values = _dense(file, values)
+        refuse_unread(file.parent, file.stem, values, problem, forces_are_read=forces_are_read)
 
 
 ARCHIVE = AnswerReader("NPZ", (".npz",), read_npz_answer, recognises=lambda head: head.startswith((ZIP, b"PK\x05\x06")))

@@ -73,7 +73,9 @@ def _write(path: Path, kind: str, name: str, values: list[float]) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["json", "json by name", "npz", "folder"])
-@pytest.mark.parametrize("name", ["lambda", "CNORMF", "normal_forces", "fn", "dual", "r_n", "friction", "tau"])
+@pytest.mark.parametrize(
+    "name", ["lambda", "CNORMF", "normal_forces", "fn", "dual", "r_n", "friction", "tau", "impulse"]
+)
 def test_forces_under_a_name_that_is_not_read_are_refused(tmp_path: Path, kind: str, name: str) -> None:
     """Ignored, a wrong force would pass beside the right displacement."""
     with pytest.raises(InvalidProblem, match=r"expected forces called normal_force, friction_force or tie_force"):
@@ -81,11 +83,42 @@ def test_forces_under_a_name_that_is_not_read_are_refused(tmp_path: Path, kind: 
 
 
 @pytest.mark.parametrize("kind", ["json", "npz", "folder"])
-@pytest.mark.parametrize("name", ["reaction", "gap", "status", "friction_coefficient"])
+@pytest.mark.parametrize("name", ["gap", "status", "friction_coefficient"])
 def test_what_is_no_force_of_contacts_is_ignored_and_said(tmp_path: Path, kind: str, name: str) -> None:
     found = answer_files.read_answer(_write(tmp_path, kind, name, [8.0, 0.0]), _wall())
     assert list(found.parts) == ["displacement"]
     assert any(name in line for line in found.ledger.ignored)
+
+
+def test_reactions_are_those_of_contacts_unless_forces_stand_beside_them_or_they_have_other_names(
+    tmp_path: Path,
+) -> None:
+    """Siconos calls its contact forces reactions; to other codes reactions are those of supports."""
+    for number, (held, refused) in enumerate(
+        (
+            ({"reaction": [8.0, 0.0, 0.0, 0.0]}, True),  # two components a contact
+            ({"reactions": {"contact 0": 8.0, "contact 1": 0.0}}, True),
+            ({"reaction": {"0": 8.0, "1": 0.0}}, True),
+            ({"reaction": {"left.x": 8.0, "right.x": 0.0}}, False),
+            ({"reaction": [8.0, 0.0], "normal_force": FORCE}, False),
+            ({"reaction": [8.0] * 5}, False),
+        )
+    ):
+        file = tmp_path / f"{number}.json"
+        file.write_text(json.dumps({"displacement": U} | held))
+        if refused:
+            with pytest.raises(InvalidProblem, match=r"reactions?: expected forces called normal_force"):
+                answer_files.read_answer(file, _wall())
+        else:
+            assert "reaction" in answer_files.read_answer(file, _wall()).ledger.ignored
+    for kind in ("npz", "folder"):
+        (tmp_path / kind).mkdir()
+        with pytest.raises(InvalidProblem, match=r" r: expected forces called normal_force"):
+            answer_files.read_answer(_write(tmp_path / kind, kind, "r", [8.0, 0.0]), _wall())
+    table = tmp_path / "theirs.csv"
+    table.write_text("dof,displacement\n0,9\n1,9\n2,9\ncontact,reaction\n0,4\n1,0\n")
+    with pytest.raises(InvalidProblem, match="column reaction: expected normal_force or friction_force"):
+        answer_files.read_answer(table, _wall())
 
 
 def test_the_coefficients_of_the_problem_are_no_forces(tmp_path: Path) -> None:
