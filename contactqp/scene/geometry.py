@@ -7,6 +7,7 @@ obstacle cause a warning.
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -268,12 +269,28 @@ def _neighbours(scene: SceneData) -> Mapping[str, set[str]]:
 def _deeper(
     scene: SceneData, contact: Contact, depth: float, points: Mapping[str, Array], beside: Mapping[str, set[str]]
 ) -> bool:
-    """Return whether all nodes that the contact's node is joined to lie deeper inside of its obstacle."""
-    others = [points[node] for node in sorted(beside[contact.touched[0]]) if node in points]
-    if not others:
+    """Return whether all nodes that the contact's node is joined to lie deeper inside of its obstacle, and the contact
+    is not one of a rope round a polygon.
+    """
+    joined = [node for node in sorted(beside[contact.touched[0]]) if node in points]
+    if not joined or _wound(scene, contact, joined, points):
         return False
+    others = [points[node] for node in joined]
     try:
         distances = obstacle(scene, str(contact.obstacle)).distance(np.array(others))
     except InvalidProblem:  # the obstacle has no distance there
         return False
     return bool(np.all(-np.asarray(distances, dtype=float) > depth * (1 + SAME_DEPTH)))
+
+
+def _wound(scene: SceneData, contact: Contact, joined: Sequence[str], points: Mapping[str, Array]) -> bool:
+    """Return whether the contact's node lies inside another obstacle that a node joined to it touches, as that of a
+    rope does which lies on planes round a convex body.
+    """
+    node = contact.touched[0]
+    others = {c.obstacle for c in scene.contacts if c.obstacle is not None and c.node in joined} - {contact.obstacle}
+    for name in sorted(others):
+        with suppress(InvalidProblem):  # the obstacle has no distance there
+            if obstacle(scene, name).distance(points[node][None, :])[0] < 0:
+                return True
+    return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,24 @@ def test_a_node_and_a_wall(wall: float, normal: int, doubt: str) -> None:
     found = doubts_of(bar(wall, normal).problem)
     assert len(found) == bool(doubt)
     assert all(doubt in text and text.startswith("contacts[0] ('tip'): it starts ") for text in found)
+
+
+def test_a_rope_round_a_post_lies_inside_of_its_tangent_planes_which_is_right() -> None:
+    places = [(-4, -12), (-5, 0), (-3, 4), (3, 4), (5, 0), (4, -12)]
+    normals = [(-1, 0), (-3, 5), (3, 5), (1, 0)]
+    names = [f"{i}" for i in range(6)]
+    scene = cq.Scene(
+        title="rope", axes=["x", "y"],
+        nodes=[{"name": n, "at": [f"{x} m", f"{y} m"]} for n, (x, y) in zip(names, places, strict=True)],
+        bars=[{"name": a + b, "nodes": [a, b], "area": "1 m^2", "modulus": "8 Pa"}
+              for a, b in pairwise(names)],
+        fixed=["0", "5"],
+        obstacles=[{"name": f"post {n}", "point": [f"{x} m", f"{y} m"], "normal": [a, b]}
+                   for n, (x, y), (a, b) in zip(names[1:5], places[1:5], normals, strict=True)],
+        contacts=[{"name": n, "node": n, "obstacle": f"post {n}"} for n in names[1:5]],
+        loads=[{"unknown": "1.y", "value": "-1 N"}],
+    )  # fmt: skip
+    assert doubts_of(scene.problem) == []
 
 
 @pytest.mark.parametrize(
