@@ -327,6 +327,8 @@ class Envelope(ReadOnly, Printed):
     names: tuple[str, ...] = field(repr=False)
 
     def __str__(self) -> str:
+        if len(self.load) and np.all(self.load < 0):
+            return f"{counted('contact', len(self.names))}: no case has an answer"
         worst = np.argsort(-self.normal_force, kind="stable")[:PRINTED]
         rows = tuple((self.names[i], number(self.normal_force[i]), str(self.load[i])) for i in worst)
         few = f", the {len(rows)} that press most" if len(rows) < len(self.names) else ""

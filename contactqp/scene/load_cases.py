@@ -90,13 +90,13 @@ def _filled(own: Any, columns: Mapping[int, Sequence[float | None]], count: int)
 
 def print_cases(console: Console, answers: CaseAnswers) -> None:
     """Print a line for each load case, with its largest force, and the envelope of the forces."""
-    many, problem = answers.solutions, answers.solutions.problem
+    many = answers.solutions
     console.print(f"[bold]{escape(answers.scene.title)}[/bold]", soft_wrap=True)
     largest = f"largest force [{answers.scene.units.force}]"
     columns = ["load case", "closed", largest, "at", "certificate", ""]
     print_noted(console, columns, list(_lines(answers)), [[why] for why in many.failures])
-    if problem.contacts:
-        worst = many.envelope()
+    worst = many.envelope()
+    if np.any(worst.load >= 0):
         named = [answers.names[i] if i >= 0 else "" for i in worst.load]
         cells = zip(worst.names, map(number, worst.normal_force), named, strict=True)
         print_noted(console, ["contact", largest, "load case"], list(map(list, cells)), [[]] * len(named))

@@ -121,6 +121,10 @@ def test_one_that_fails_stops_no_other() -> None:
         many[1]
     none = cq.solve_many(mass, loads=[[-1.0]])
     assert none.envelope().load.tolist() == [-1]
+    empty = cq.solve_many(mass, loads=np.zeros((0, 1)))
+    for nothing in (none, empty):
+        assert str(nothing.envelope()) == "1 contact: no case has an answer"
+        assert "nan" not in str(nothing)
 
 
 def test_bad_arguments_are_one_clear_error() -> None:
