@@ -23,8 +23,14 @@ from contactqp.model.problem_data import read_array, read_matrix
 ASYMMETRY = 1e-6
 # The most negative pivot of a semidefinite mass, scaled to a diagonal of one, due to rounding and printing.
 INDEFINITE = 1e-6
-# The relative accuracy of the mass of rigid motions.
+# The relative accuracy of rigid motions where mass is moved.
 KEPT = 1e-9
+# Mass goes to so many neighbours that the share of each unknown would add at most this part to the mass of one alone.
+HEAVIER = 1.0
+# The least pivot, relative to the diagonal, with which the stiffness holds unknowns to others.
+SINGULAR = 1e-12
+# Of more compliances than this those are left out that are below this part of the largest, scaled by the stiffness.
+MANY, SLIGHT = 1_000_000, 1e-3
 # The largest size for which all frequencies are computed.
 DENSE_SIZE = 200
 # Frequencies whose inertial part of a step's operator is this close to one are rigid motions, or well resolved.
@@ -37,6 +43,9 @@ HELD_RATIO = 1e-13
 SPANNED = 1e-12
 # The advice if contacts act on all unknowns of a body, such as a single mass.
 OTHERWISE = "take the scheme 'moreau-jean', which lets contacts have mass, or a finer mesh"
+_NOT_CARRIED = (
+    "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body; " + OTHERWISE
+)
 
 
 def read_mass(mass: Any, n: int) -> Any:
@@ -104,10 +113,11 @@ def touched(problem: ContactProblem) -> Indices:
 def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     """Return a mass matrix without mass at the unknowns that contacts act on (Khenous, Laborde and Renard 2008).
 
-    Their rows and columns become zero. Their mass is added to neighbours, as the smallest diagonal change that
-    preserves z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. Neighbours are
-    those coupled by the stiffness, then their neighbours, until this is possible. For supported bodies, whose rigid
-    motions are unknown, the sum of the rows is preserved.
+    Their rows and columns become zero, and their mass moves with others of the body: M' = T'MT, where u = T u makes
+    their displacements of the others. That is semidefinite, depends neither on units nor on the directions of axes, and
+    preserves z'Mz for all rigid motions z of the bodies: mass, centre of mass and moments of inertia. T is the least
+    one that has these motions, on the nearest neighbours that the stiffness couples. On supported bodies whose rigid
+    motions no `near_null_space` states, it is where the stiffness is in balance.
 
     Parameters
     ----------
@@ -121,53 +131,90 @@ def redistributed_mass(mass: Any, problem: ContactProblem) -> Any:
     Raises
     ------
     InvalidProblem
-        Contacts act on all unknowns of a body, or the remaining mass would be negative.
+        Contacts act on so many unknowns of a body that no others can carry their mass.
     """
     from scipy.sparse.csgraph import connected_components
 
-    M = read_mass(mass, problem.dimension)
-    kept = np.ones(problem.dimension, dtype=bool)
-    kept[touched(problem)] = False
-    left = sp.csr_matrix(sp.diags(kept.astype(float)) @ M @ sp.diags(kept.astype(float)))
-    graph = abs(problem.stiffness_rows) + abs(M)
-    Z, body = null_space(problem.stiffness_rows).motions, connected_components(graph, directed=False)[1]
-    change = np.zeros(problem.dimension)
-    for number in np.unique(body[~kept]):
-        members = body == number
-        motions = Z[:, np.any(Z[members] != 0, axis=0)] * members[:, None]
-        change += _on_neighbours(graph, M, left, members & ~kept, members & kept, motions)
-    diagonal = left.diagonal() + change
-    if np.any(diagonal[kept] < 0):
-        j = int(np.argmin(np.where(kept, diagonal, np.inf)))
-        raise InvalidProblem(
-            f"mass: {problem.dof_name(j)} would be left with the mass {diagonal[j]:g}; contacts act on too many "
-            f"unknowns for their mass to be moved; {OTHERWISE}"
-        )
-    return sp.csr_matrix(left + sp.diags(change))
+    M, K = read_mass(mass, problem.dimension), problem.stiffness_rows
+    carries, bare = M.diagonal() > 0, np.zeros(problem.dimension, dtype=bool)
+    bare[touched(problem)] = True
+    heavy, carries = bare & carries, ~bare & carries
+    graph = sp.csr_matrix(abs(K) + abs(M))
+    body, blocks = connected_components(graph, directed=False)[1], [sp.diags((~bare).astype(float))]
+    motions = null_space(K).motions if problem.near_null_space is None else problem.near_null_space
+    moves = np.sqrt(problem.diagonal) * np.max(abs(motions), axis=1, initial=0.0)
+    for number in np.unique(body[heavy]):
+        members, moving = body == number, np.flatnonzero((body == number) & heavy)
+        if np.min(moves[moving]) > KEPT * np.max(moves[members]):
+            blocks.append(_carried_by_neighbours(graph, M.diagonal(), motions, moving, carries))
+        else:
+            blocks.append(_carried_in_balance(K, moving, members & ~carries, members & carries))
+    T = sp.csr_matrix(sum(blocks))
+    moved = T.T @ M @ T
+    return sp.csr_matrix((moved + moved.T) / 2)
 
 
-def _on_neighbours(graph: Any, M: Any, left: Any, bare: Mask, kept: Mask, Z: Array) -> Vector:
-    """Return the diagonal change (n,) on one body that preserves Z'MZ, on the fewest rings of neighbours."""
-    pairs = [(a, b) for a in range(Z.shape[1]) for b in range(a, Z.shape[1])]
-    missing = np.array([Z[:, a] @ ((M - left) @ Z[:, b]) for a, b in pairs])
-    rows = np.array([Z[:, a] * Z[:, b] for a, b in pairs]).reshape(len(pairs), len(bare))
-    size = abs(rows) @ np.asarray(M.diagonal())
-    if not pairs:  # a supported body: the sum of the removed rows
-        missing, rows, size = np.array([np.sum(M[bare])]), np.ones((1, len(bare))), np.array([M.diagonal().sum()])
-    near = bare
-    while True:
-        reached = near | (np.asarray(graph @ near.astype(float)) > 0)
-        ring, change = reached & kept, np.zeros(len(bare))
-        if np.any(ring):
-            change[ring], *_ = np.linalg.lstsq(rows[:, ring], missing, rcond=None)
-            if np.all(abs(rows @ change - missing) <= KEPT * size):
-                return change
-        if np.array_equal(reached, near):
-            raise InvalidProblem(
-                "mass: contacts act on so many unknowns that their mass cannot be moved to others of the same body; "
-                + OTHERWISE
-            )
-        near = reached
+def _carried_by_neighbours(graph: Any, mass: Vector, motions: Array, moving: Indices, carries: Mask) -> Any:
+    """Return the rows of T (n, n) of some unknowns: the least, relative to masses, with the rigid motions.
+
+    Neighbours are those coupled by the graph, then their neighbours, until this is possible without making any of them
+    much heavier.
+    """
+    rows, columns, values = [], [], []
+    alike: dict[bytes, list[int]] = {}
+    for j in moving.tolist():
+        alike.setdefault(_row(graph, j).tobytes(), []).append(j)
+    for unknowns in alike.values():
+        near, share, ring = np.array(unknowns), None, moving[:0]
+        while share is None or mass[unknowns] @ np.sum(share**2 / mass[ring, None], axis=0) > HEAVIER * len(unknowns):
+            reached = np.union1d(near, np.concatenate([_row(graph, j) for j in near.tolist()]))
+            if len(reached) == len(near):
+                break
+            near, wider = reached, reached[carries[reached]]
+            if (found := _least_shares(motions, mass, unknowns, wider)) is not None:
+                share, ring = found, wider
+        if share is None:
+            raise InvalidProblem(_NOT_CARRIED)
+        rows.append(np.tile(unknowns, len(ring)))
+        columns.append(np.repeat(ring, len(unknowns)))
+        values.append(share.ravel())
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csr_matrix(entries, shape=graph.shape)
+
+
+def _row(graph: Any, j: int) -> Indices:
+    return np.asarray(graph.indices[graph.indptr[j] : graph.indptr[j + 1]], dtype=np.intp)
+
+
+def _least_shares(motions: Array, mass: Vector, unknowns: list[int], ring: Indices) -> Array | None:
+    """Return the least t (ring, unknowns), relative to masses, with t'z_ring = z of all motions z; None without one."""
+    Z, wanted = motions[ring], motions[unknowns]
+    size = abs(motions[np.append(ring, unknowns)]).max(axis=0, initial=0.0)
+    Z, wanted = Z[:, size > 0] / size[size > 0], wanted[:, size > 0] / size[size > 0]
+    root = np.sqrt(mass[ring])[:, None]
+    share = root * np.linalg.lstsq((root * Z).T, wanted.T, rcond=None)[0]
+    met = abs(Z.T @ share - wanted.T) <= KEPT * (abs(Z).T @ abs(share) + abs(wanted.T)).max(axis=0)
+    return share if len(ring) and np.all(met) else None
+
+
+def _carried_in_balance(K: Any, moving: Indices, resting: Mask, carries: Mask) -> Any:
+    """Return the rows of T (n, n) of some unknowns: where the stiffness has unknowns without mass in balance.
+
+    Of many contacts the compliances of one at another are left out where these are slight.
+    """
+    inside, outer = np.flatnonzero(resting), np.flatnonzero(carries)
+    own, at = K[inside][:, inside], np.searchsorted(inside, moving)
+    factor = factorise(sp.csr_matrix(own)) if abs(K[inside][:, outer]).sum() else None
+    if factor is None or factor.smallest_pivot <= SINGULAR:
+        raise InvalidProblem(_NOT_CARRIED)
+    compliance = np.asarray(factor.solve(np.eye(len(inside))[:, at])).T
+    if compliance.size > MANY:
+        root = np.sqrt(own.diagonal())
+        felt = abs(compliance) * root * root[at, None]
+        compliance[felt < SLIGHT * felt.max(axis=1, keepdims=True)] = 0.0
+    at_moving = sp.csr_matrix((np.ones(len(moving)), (moving, np.arange(len(moving)))), shape=(K.shape[0], len(moving)))
+    share = -sp.csr_matrix(compliance) @ K[inside] @ sp.diags(carries.astype(float))
+    return at_moving @ share
 
 
 def critical_step(mass: Any, stiffness: Any) -> float:
