@@ -34,14 +34,41 @@ from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import EPS, Array, Mask, Vector, time_is_up
 from contactqp.solving.friction.local_form import BlockSystem, Iterate, LocalForm
 
-# The first, the smallest and the largest regularisation, with contacts scaled to a compliance of one.
-REGULARISATION = (1e-6, 1e-12, 1e2)
+# The first, the smallest and the largest regularisation, with contacts scaled to a compliance of one. In forces that W
+# does not resist rounding appears divided by the smallest.
+REGULARISATION = (1e-6, 1e-9, 1e2)
 # Step lengths that are tried before the regularisation grows.
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 # The factors by which the regularisation grows, the second if it changed a step by less than the third number.
 GROWTH_OF_REGULARISATION, LEAP, ALIKE = 30.0, 1e3, 1e-3
 # A residual of rounding size; and the part of the forces below which a residual that a step does not lower is final.
 ROUNDING_OF_MAP, ROUNDED = 1e-15, 32 * EPS
+# Where so many steps do not lower the residual to this part, a few at full length follow, which pass over kinks: from
+# there the residual often falls again where no step along the way lowers it.
+STALLED, PROGRESS, STEPS_OVER_KINKS = 10, 0.1, 6
+
+
+class _Regularisation:
+    """The weight a: it grows where a step fails and falls where two in turn succeed."""
+
+    def __init__(self) -> None:
+        self.weight, self._missed, self._failed = REGULARISATION[0], np.nan, False
+
+    @property
+    def exhausted(self) -> bool:
+        return self.weight > REGULARISATION[2]
+
+    def grow(self, found: Iterate | None) -> None:
+        """Make the weight larger after a step that came to `found` did not lower the residual."""
+        error = np.nan if found is None else found.error
+        alike = abs(error - self._missed) <= ALIKE * self._missed
+        self.weight *= LEAP if alike else GROWTH_OF_REGULARISATION
+        self._missed, self._failed = error, True
+
+    def fall(self) -> None:
+        """Make the weight smaller after a step, unless a smaller one failed just before."""
+        self.weight = max(self.weight * (1.0 if self._failed else 0.1), REGULARISATION[1])
+        self._missed, self._failed = np.nan, False
 
 
 def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = ROUNDING_OF_MAP) -> Iterate:
@@ -56,26 +83,46 @@ def newton(form: LocalForm, start: Iterate, max_iter: int = 60, target: float = 
     target : float
         The error, in the scale of the form, at which it is done.
     """
-    best, regularisation = start, REGULARISATION[0]
-    history, missed = [start.error], None
-    for _ in range(max_iter):
-        if best.error <= target or time_is_up():
-            break
-        found = _step(form, best, regularisation)
-        if found is None or found.error >= 0.999 * best.error:
-            # Near the rounding of the answer no step reduces the residual.
-            if regularisation >= REGULARISATION[2] or best.error <= ROUNDED * best.size:
+    best, history, regularisation = start, [start.error], _Regularisation()
+    mark, since, left = start.error, 0, max_iter
+    found: Iterate | None
+    while left > 0 and best.error > max(target, EPS * best.size) and not time_is_up():
+        if best.error <= PROGRESS * mark:
+            mark, since = best.error, 0
+        if since == STALLED or regularisation.exhausted:
+            found, taken = _over_kinks(form, best)
+            if found is best and (regularisation.exhausted or best.error <= ROUNDED * best.size):
                 break
-            alike = found is not None and missed is not None and abs(found.error - missed) <= ALIKE * missed
-            missed = None if found is None else found.error
-            regularisation *= LEAP if alike else GROWTH_OF_REGULARISATION
-            if found is None or found.error >= best.error:
-                continue
+            mark, since, left = found.error, 0, left - taken
+            regularisation = regularisation if found is best else _Regularisation()
         else:
-            regularisation, missed = max(0.1 * regularisation, REGULARISATION[1]), None
-        best = found
-        history.append(best.error)
+            since, left = since + 1, left - 1
+            found = _step(form, best, regularisation.weight)
+            if found is not None and found.error < 0.999 * best.error:
+                regularisation.fall()
+            elif best.error <= ROUNDED * best.size:
+                break  # near the rounding of the answer no step reduces the residual
+            else:
+                regularisation.grow(found)
+        if found is not None and found.error < best.error:
+            best = found
+            history.append(best.error)
     return Iterate(best.force, best.joint_force, best.error, len(history) - 1, tuple(history))
+
+
+def _over_kinks(form: LocalForm, here: Iterate) -> tuple[Iterate, int]:
+    """Return the first of a few iterates at full length that is better than `here`, else `here`, and their number."""
+    found = here
+    for taken in range(1, STEPS_OVER_KINKS + 1):
+        direction = _direction(form, found, REGULARISATION[0])
+        if direction is None:
+            break
+        found = Iterate.at(form, found.force + direction[0], found.joint_force + direction[1])
+        if found.error < here.error:
+            return found, taken
+        if not np.isfinite(found.error):
+            break
+    return here, taken
 
 
 def _step(form: LocalForm, here: Iterate, regularisation: float) -> Iterate | None:

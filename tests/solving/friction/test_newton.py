@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.local_certificate import siconos_local_error
 from contactqp.linalg.condensation import condense
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction import alart_curnier
@@ -222,3 +223,36 @@ def test_where_newton_ends_at_rounding_it_does_not_start_again(monkeypatch: pyte
     problem = cq.LocalProblem(delassus=np.diag([3.0, 7.0, 11.0]), offset=[-0.1, 0.7, 0.3], friction=0.3, dimension=3)
     assert cq.solve(problem).certificate.natural_map <= 1e-15
     assert len(calls) == 1
+
+
+def _pile(seed: int, d: int, bodies: int = 6, contacts: int = 18) -> cq.LocalProblem:
+    """Return rigid bodies with more contacts than motions, loaded by the forces of a known answer."""
+    rng = np.random.default_rng(seed)
+    motions = 3 * d - 3
+    G = np.zeros((contacts * d, (bodies + 1) * motions))
+    for i in range(contacts):
+        frame = np.linalg.qr(rng.normal(size=(d, d)))[0]
+        for body, sign in zip(rng.choice(bodies + 1, 2, replace=False), (1.0, -1.0), strict=True):
+            arm = rng.normal(size=d) / 2
+            turned = np.array([[-arm[1]], [arm[0]]]) if d == 2 else np.cross(np.eye(3), arm).T
+            own = slice(motions * body, motions * (body + 1))
+            G[d * i : d * (i + 1), own] = sign * frame.T @ np.hstack([np.eye(d), turned])
+    G = G[:, motions:]  # the first body is the ground
+    states = rng.choice(3, contacts, p=(0.4, 0.35, 0.25))
+    way = rng.normal(size=(contacts, d - 1))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    push = np.where(states > 0, 10.0 ** rng.uniform(-2, 0.5, contacts), 0.0)
+    part = np.where(states == 1, rng.uniform(size=contacts), 1.0)
+    r = np.column_stack([push, 0.3 * (part * push)[:, None] * way])
+    gap = np.where(states == 0, rng.uniform(size=contacts), 0.0)
+    u = np.column_stack([gap, -np.where(states == 1, 0.0, rng.uniform(size=contacts))[:, None] * way])
+    W = G @ G.T
+    return cq.LocalProblem(delassus=W, offset=u.ravel() - W @ r.ravel(), friction=0.3, dimension=d)
+
+
+@pytest.mark.parametrize(("seed", "d"), [(0, 2), (15, 2), (29, 2), (89, 2), (95, 2), (95, 3), (122, 3), (139, 3)])
+def test_newton_passes_over_points_from_which_no_step_lowers_the_residual(seed: int, d: int) -> None:
+    """It used to end there, on contacts that depend on one another, and other algorithms had to begin anew."""
+    problem = _pile(seed, d)
+    found = cq.solve(problem, algorithm="newton")
+    assert siconos_local_error(problem, found.force) <= 1e-12
