@@ -25,7 +25,7 @@ from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
-from contactqp.linalg.floating import as_stated, that_move
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, as_stated, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
     bodies,
@@ -37,7 +37,6 @@ from contactqp.linalg.measures import (
     scale_through_rows,
     untouched,
 )
-from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.refinement import OnSet
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
@@ -471,14 +470,15 @@ def _shared_alike(rows: Array, wanted: Vector, least: Vector) -> Vector:
     nearest forces of any sign ends where the first one reaches the least.
     """
     held, first = np.zeros(len(wanted), dtype=bool), np.zeros(len(wanted))
+    dependent = DEPENDENT_IN_ENERGY * max(rows.shape)
     for turn in range(len(wanted)):
         forces, free = np.where(held, least, wanted), ~held
-        left, _, rank, _ = np.linalg.lstsq(rows[:, free], rows @ forces, rcond=DEPENDENT_ROWS)
+        left, _, rank, _ = np.linalg.lstsq(rows[:, free], rows @ forces, rcond=dependent)
         if turn == 0 and rank == len(wanted):
             return first
         forces[free] -= left
         first = first if turn else forces
-        if np.linalg.norm(rows @ forces) > DEPENDENT_ROWS * np.linalg.norm(forces):
+        if np.linalg.norm(rows @ forces) > dependent * np.linalg.norm(forces):
             break
         if not (less := free & (forces < least)).any():
             return forces

@@ -141,3 +141,16 @@ def test_loads_on_free_bodies_that_balance_to_rounding_are_meant_to_balance() ->
     problem = squeezed.problem(sides)
     assert 0 < abs(problem.load.reshape(-1, 2).sum(axis=0)).max() < 1e-15
     assert cq.solve(problem).certificate.proven
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 2.0**14])
+def test_forces_that_nearly_parallel_ties_share_otherwise_are_refused(stiffness: float) -> None:
+    """Where the second unknown is stiff the rows are apart by 3e-11 only, and their forces are unique all the same."""
+    K, rows = np.diag([1.0, stiffness]), np.array([[-1.0, 0.0]])
+    tie = np.array([[1.0, 0.0], [1.0, 2.0**-28]])
+    u, held = np.array([0.5, 0.25]), np.array([-0.375, 0.75])
+    problem = cq.ContactProblem(K, K @ u + tie.T @ held, rows, [1.0], tie=tie, tie_value=tie @ u)
+    assert cq.certify(problem, u, [0.0], tie_force=held).proven
+    assert cq.solve(problem).tie_force == pytest.approx(held, rel=1e-6)
+    for change in (0.125, 1e-3, -1e-3):
+        assert not cq.certify(problem, u, [0.0], tie_force=held + change * np.array([1.0, -1.0])).passed
