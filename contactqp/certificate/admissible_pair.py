@@ -442,7 +442,7 @@ def bounds_apart(
         bounds,
         energy_error=None if rigid.energy_error is None else bounds.energy_error,
         force_error=None if rigid.force_error is None else bounds.force_error,
-        force_bound=None if np.isnan(bound).any() else bound,
+        force_bound=None if len(bound) and np.isnan(bound).all() else bound,
         relative_force_bound=relative,
         ties=max(bounds.ties, (missed, rigid.force_scale)),
         solution=solution,

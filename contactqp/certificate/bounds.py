@@ -85,6 +85,7 @@ from contactqp.certificate.figures import (
     rigid_rounding,
 )
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import unique_forces
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import Extended, Residuals, extend
@@ -111,7 +112,7 @@ class Bounds:
 
     energy_error: float | None = None
     force_error: float | None = None
-    force_bound: Vector | None = None
+    force_bound: Vector | None = None  # (m,) NaN for redundant contacts, whose forces are not unique
     relative_force_bound: Vector | None = None  # (m,) force_bound_i |E_i D| / |l*|_W or, if known, / largest_force
     energy_scale: float = 0.0  # |u*|_K or a lower bound
     force_scale: float = 0.0  # |l*|_W likewise
@@ -332,10 +333,11 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     force_rounding = RIGID_ROUNDING * size if floats or problem.ties else 0.0  # of forces that cause no strain
     free = free_distance(problem, condensation, pair.saddle, pair.to_middle, energy_scale) if floats else 0.0
     vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
-    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing)
+    force_bound, unique = _force_bound(problem, answer, condensation, pair)
+    every = np.ones(problem.contacts + problem.ties, dtype=bool) if unique is None else unique
+    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing, every[problem.contacts :])
     # So does a strain that is negligible beside that of contact forces, which the load balances directly.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
-    force_bound, reason = _force_bound(problem, answer, condensation, pair)
     elastic = problem.diagonal.any()  # otherwise all energy norms are zero
     tied = problem.ties > 0 and size == 0  # they may take what a nearly parallel contact presses in truth
     felt = own_forces(problem, push, pair.tie_force.double()) if tied else own * abs(push)
@@ -343,11 +345,10 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True
     if floats:
         shared, of_shared, sure = shared_by_rounding(problem, condensation, pair.saddle, moved, pair.cleared, push)
-    relative = None
-    if force_bound is not None:
-        force_bound = force_bound + (abs(changed) + shared)
-        relative = force_bound * own / (largest or max(scale, size)) if max(largest, scale) > 0 else None
-        if relative is not None and not problem.diagonal.all():
+    force_bound, relative = np.where(every[: problem.contacts], force_bound + abs(changed) + shared, 0.0), None
+    if max(largest, scale) > 0:
+        relative = force_bound * own / (largest or max(scale, size))
+        if not problem.diagonal.all():
             relative = np.maximum(relative, parts_of_bare_forces(problem, force_bound, push))
     energy_error = np.inf if lost else relative_error(distance, energy_scale, pair.radius + uncertain)
     return Bounds(
@@ -364,12 +365,12 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         ties=ties,
         shared=of_shared / (scale or 1.0),
         largest_force=largest,
-        force_bound=force_bound,
+        force_bound=np.where(every[: problem.contacts], force_bound, np.nan),
         relative_force_bound=relative,
         estimated=not sure,
         determined=determined_by(problem, answer, condensation) if floats else BY_DISPLACEMENT,
         solution=solution if pair.exact else None,
-        reasons=() if reason is None else (f"force_bound: {reason}",),
+        reasons=() if unique is None else (f"force_bound: {REDUNDANT}",),
     )
 
 
@@ -379,15 +380,16 @@ def _force_error(
     pair: AdmissiblePair,
     changes: tuple[Extended, Extended],
     vanishing: float,
+    unique: Mask,
 ) -> tuple[float, float, tuple[float, float]]:
     """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
 
     `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces up to `vanishing`,
     the rounding of the data, are zero. Where ties act, W is also taken without them, of contact forces alone and with
     those of ties, which differ from the true ones by |w - u*|_K. For slender floating bodies these are not sharp, and
-    forces of independent ties are compared one by one. The largest error is the bound.
+    the `unique` (k,) forces of ties are compared one by one. The largest error is the bound.
     """
-    floats, independent = condensation.rigid.count > 0, pair.exact and not pair.saddle.redundant
+    floats, independent = condensation.rigid.count > 0, pair.exact and bool(unique.all())
     norms = [(True, False)]
     if problem.ties > 0 and not (floats and independent):
         norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
@@ -402,12 +404,13 @@ def _force_error(
         found = found[1:]  # contact forces are balanced by ties up to rounding
     (_, size, uncertain), *_ = found
     largest = missed = 0.0
-    if problem.ties > 0 and independent:
+    if pair.exact and unique.any():
         own = own_forces(problem, pair.force.double(), pair.tie_force.double())
         # A contact at unknowns without stiffness pushes on what ties hold to them.
         unseen = extend(np.where(own[: problem.contacts] == 0, pair.force.double(), 0.0))
         largest = max(float(np.max(own)), force_norm(problem, condensation, unseen)[0])
-        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), changes[1].double())))
+        turned = np.where(unique, changes[1].double(), 0.0)
+        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), turned)))
     if size == 0:  # without contact forces, those of ties are also compared directly
         # Forces that are zero in a repaired pair may have any size up to its radius.
         absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
@@ -423,18 +426,18 @@ def relative_error(error: float, scale: float, uncertainty: float) -> float:
 
 def _force_bound(
     problem: ContactProblem, answer: Answer, condensation: Condensation, pair: AdmissiblePair
-) -> tuple[Vector | None, str | None]:
-    """Return bounds (m,) on the errors of the pair's contact forces, or None with the reason.
+) -> tuple[Vector, Mask | None]:
+    """Return bounds (m,) on the errors of the pair's contact forces, and which forces of contacts and ties (m + k,) are
+    unique, None where all are.
 
     They are (4) on contacts closed in v or within the radius, as (4) holds for any choice, and by the gap on open ones.
+    With redundant rows v_i exists where a force is unique.
     """
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement)
     untold = pair.dual_radius * np.sqrt(condensation.delassus.compliance[: problem.contacts]) if pair.exact else 0.0
     touches = pair.open_gap <= np.maximum(WITHIN_ROUNDING * length, untold)
     active, outside = touches.nonzero()[0], (~touches).nonzero()[0]
     saddle = saddle_point(condensation, active)
-    if saddle.redundant:
-        return None, REDUNDANT
     count, bound = len(active), np.zeros(problem.contacts)
     bound[outside] = pair.dual_radius**2 / (2 * pair.open_gap[outside])
     if count:
@@ -447,7 +450,7 @@ def _force_bound(
         bound[active] = own + 2 * abs(moved[active] - np.eye(count)).T @ own
         if condensation.rigid.count:
             bound[active] += out_of_balance(problem, answer, condensation, pair, active)
-    return bound, None
+    return bound, unique_forces(condensation, saddle) if saddle.redundant else None
 
 
 def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator[str]:

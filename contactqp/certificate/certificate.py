@@ -348,7 +348,7 @@ def _verdict(
         natural_map=None if law is None else float(law.max(initial=0.0)),
         energy_error=claimed.energy_error,
         force_error=claimed.force_error,
-        force_bound=None if claimed.force_bound is None else ROUNDED_UP * claimed.force_bound,
+        force_bound=None if (bound := claimed.force_bound) is None or np.isnan(bound).any() else ROUNDED_UP * bound,
         reasons=claimed.reasons,
         grazing=tuple(measured.grazing.nonzero()[0].tolist()),
         failures=tuple(failures),

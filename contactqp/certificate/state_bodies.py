@@ -331,7 +331,7 @@ def with_rounding_of_motions(
         energy_error=(bounds.energy_error or 0.0) + strained / (bounds.energy_scale or 1.0),
         force_error=(bounds.force_error or 0.0) + strained / (bounds.force_scale or 1.0),
         force_bound=bound,
-        relative_force_bound=bound * own / (bounds.force_scale or bounds.energy_scale or 1.0),
+        relative_force_bound=np.nan_to_num(bound) * own / (bounds.force_scale or bounds.energy_scale or 1.0),
     )
 
 

@@ -16,10 +16,11 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.dense import DENSE_SIZE
+from contactqp.linalg.dense import DENSE_SIZE, Condensed, SaddlePoint
 from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
 from contactqp.model.arrays import EPS, Array, Mask, Vector
@@ -212,6 +213,33 @@ def are_independent(rows: Any) -> bool:
         return False
     motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
     return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
+
+
+def unique_forces(condensation: Condensed, saddle: SaddlePoint) -> Mask:
+    """Return whether the force of each contact and tie (m + k,) is unique where a saddle has all closed contacts.
+
+    A dependent row is a sum of independent ones. One of these belongs to it, and has forces of many sizes, where the
+    dependent row is farther from the span of the others than rounding: the weight itself has the rounding of nearly
+    dependent rows.
+
+    Parameters
+    ----------
+    condensation : that of the problem
+    saddle : the factorised system of the closed contacts, whose rows are redundant
+    """
+    from scipy.linalg import solve_triangular
+
+    rows = np.vstack([condensation.normal, condensation.tie]) * condensation.scale
+    unique = np.ones(len(rows), dtype=bool)
+    held = np.append(saddle.closed, np.arange(len(condensation.normal), len(rows)))
+    unit = rows[held] / np.linalg.norm(rows[held], axis=1, keepdims=True)
+    Q, R = np.linalg.qr(unit[saddle.independent].T)
+    inverse = solve_triangular(R, np.eye(len(R)))
+    weights = inverse @ (Q.T @ np.delete(unit, saddle.independent, axis=0).T)
+    apart = np.max(abs(weights), axis=1, initial=0.0) / np.linalg.norm(inverse, axis=1)
+    unique[held] = False
+    unique[held[saddle.independent]] = apart <= DEPENDENT_IN_ENERGY * max(unit.shape)
+    return unique
 
 
 # The regularisation of the minimum-norm equations with unit rows, removed by refinement.

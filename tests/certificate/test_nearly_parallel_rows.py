@@ -143,6 +143,27 @@ def test_loads_on_free_bodies_that_balance_to_rounding_are_meant_to_balance() ->
     assert cq.solve(problem).certificate.proven
 
 
+def test_a_force_that_is_unique_beside_redundant_contacts_is_bounded() -> None:
+    """A tie and a wall opposite to it share their forces in many ways, but not that of the nearly parallel contact.
+
+    Its force had no bound beside theirs, and the answer without it penetrates by 1e-18 of the lengths that meet.
+    """
+    K, tie = np.diag([15.3125, 0.63653564453125, 31.75]), np.array([[0.0, 1.0, 0.0]])
+    rows = np.array([[0.0, -1.0, 0.0], [-(2.0**-27), 1.0, 0.0]])
+    u, pressed, held = np.array([0.0, 0.875, 0.0]), np.array([0.0, 0.171875]), np.array([-0.375])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    cq.solve(problem)
+    assert cq.certify(problem, u, pressed, tie_force=held).proven
+    assert cq.certify(problem, u, pressed + np.array([0.125, 0.0]), tie_force=held + 0.125).proven  # as right
+    for part in (1.0, 0.01):
+        forces, taken = np.array([0.0, (1 - part) * pressed[1]]), held + part * pressed[1]
+        moved = np.array([(problem.load - rows.T @ forces)[0] / K[0, 0], 0.875, 0.0])
+        for displacement in (u, moved):
+            judged = cq.certify(problem, displacement, forces, tie_force=taken)
+            assert not judged.passed
+            assert judged.force_bound is None or judged.force_bound[1] >= part * pressed[1]
+
+
 @pytest.mark.parametrize("stiffness", [1.0, 2.0**14])
 def test_forces_that_nearly_parallel_ties_share_otherwise_are_refused(stiffness: float) -> None:
     """Where the second unknown is stiff the rows are apart by 3e-11 only, and their forces are unique all the same."""
