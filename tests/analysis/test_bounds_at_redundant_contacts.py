@@ -74,6 +74,7 @@ def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not() -> None:
         assert counts[f"{name} none"] <= counts[name] / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rough", [False, True])
 def test_ties_that_repeat_leave_the_bounds_of_what_is_unique(rough: bool) -> None:
     """Twice a tie, with twice its value, whose force is shared: all else is as without it, and against Fractions."""
@@ -161,6 +162,7 @@ def test_what_does_not_push_or_touch_carries_nothing(monkeypatch: pytest.MonkeyP
     assert found.bound is None or found.value.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("checked", [True, False])
 def test_gaps_that_differ_beneath_doubles_have_no_bound(checked: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of thirds whose gaps move by 3 and by 1 together, to rounding: which stays closed is not told."""

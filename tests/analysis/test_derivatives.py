@@ -69,6 +69,7 @@ def drawn(rng: np.random.Generator, grazes: bool) -> tuple[cq.ContactProblem, An
     return cq.ContactProblem(K, f, E, g), tuple(rational(x) for x in (K, f, E, g))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("problems", [4, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("grazes", [False, True])
 def test_rates_are_those_of_exact_answers(grazes: bool, problems: int) -> None:
@@ -349,6 +350,7 @@ def test_gaps_of_bodies_that_are_free_to_move_are_not_unique() -> None:
     assert free.derivative("normal_force", "gap", [0.0, 1.0]).value == pytest.approx([0.0, -9.0])  # those are unique
 
 
+@pytest.mark.slow
 def test_redundant_contacts_may_set_free_what_they_hold() -> None:
     """A point in a wedge and on a floor at its apex: lifted by the floor, it moves between the walls."""
     seen = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])

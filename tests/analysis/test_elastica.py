@@ -144,6 +144,7 @@ def test_a_step_that_does_not_converge_is_halved() -> None:
     assert history[-1].normal_force == pytest.approx(whole[-1].normal_force, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_steps_of_newtons_method_are_refined_and_the_converged_one_is_certified(monkeypatch) -> None:
     """Each of some ten a load step: a certificate of its linearised problem says nothing of the rod."""
     certified = []

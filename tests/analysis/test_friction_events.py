@@ -342,7 +342,8 @@ def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object], 
         np.testing.assert_allclose(scaled.energies[-1].dissipated, dissipated * force * length, rtol=1e-9)
 
 
-@pytest.mark.parametrize("push", [0.0, 0.1])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("push", [0.1, 0.0])
 def test_a_loose_body_that_the_load_sets_going_jumps_as_it_does_without_friction(push: float) -> None:
     """A block 0.1 above the floor falls at once: steps find it there, and no choice at a contact is to blame."""
     block = cq.ContactProblem(np.zeros((2, 2)), [0.0, 0.0], [[0.0, -1.0]], [0.1], [[1.0, 0.0]], friction=0.3)
@@ -362,6 +363,7 @@ def node_on_a_guide(friction: float) -> cq.ContactProblem:
     )  # fmt: skip
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("friction", [0.5, 0.9, 0.999999])
 @pytest.mark.parametrize(
     "options", [{"events": "exact"}, pytest.param({"steps": 60}, marks=pytest.mark.slow), {"steps": 7}]
@@ -377,6 +379,7 @@ def test_a_node_that_comes_back_to_its_wedge_sticks_in_it(options: dict[str, Any
     assert abs(last.friction_force[0, 0]) <= friction * last.normal_force[0] * (1 + 1e-9)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("friction", [0.3, 0.5, 0.9])
 @pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 7}])
 def test_a_ball_comes_back_to_its_groove(options: dict[str, Any], friction: float) -> None:
@@ -392,6 +395,7 @@ def test_a_ball_comes_back_to_its_groove(options: dict[str, Any], friction: floa
     np.testing.assert_allclose(last.displacement, 0.0, atol=1e-15)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("loads", "opened"), [([[3.0, -1.0], [-3.0, 3.0]], 1.4), ([[0.0, -2.0], [-3.0, 1.0]], 4 / 3)])
 def test_a_wedged_node_is_lifted_off_at_the_load_that_pulls_it(loads: list[list[float]], opened: float) -> None:
     """With mu = 1 the floor and the guide may wedge each other with any force, which holds the node against nothing."""
@@ -403,6 +407,7 @@ def test_a_wedged_node_is_lifted_off_at_the_load_that_pulls_it(loads: list[list[
     assert history[-1].contact_status == ["open"]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("options", [{"events": "exact"}, {"steps": 7}])
 def test_no_rounded_slip_origin_denies_an_equilibrium(options: dict[str, Any]) -> None:
     """With mu = 1 a slip origin of +1e-17 has no equilibrium in rational numbers, and one of -1e-17 has."""

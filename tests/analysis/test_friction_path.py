@@ -74,6 +74,7 @@ def test_the_order_of_loads_decides_the_state(name: str) -> None:
     np.testing.assert_allclose(history[-1].friction_force[0, 0], ratio * force, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_example_2_19_loaded_and_unloaded_in_steps() -> None:
     corners = [WEIGHTS, pulled(12.0), WEIGHTS]
     history = cq.follow_path(two_masses(0.0), corners, steps=16)

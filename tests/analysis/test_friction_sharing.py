@@ -123,6 +123,7 @@ def test_floors_without_friction_share_what_a_coefficient_of_one_of_them_makes()
     assert not np.any(cq.solve(smooth).derivative("friction_force", "load", [1.0, 0.0]).value)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("blind", [False, True])
 def test_other_states_that_exert_the_same_force_are_not_overlooked(
     blind: bool, monkeypatch: pytest.MonkeyPatch
@@ -161,6 +162,7 @@ def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
     assert slid.derivative("displacement", "load", [1.0, 0.0, 0.0]).value == pytest.approx([0.25, 0.0, 0.0])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("blind", [False, True])
 def test_slips_that_may_begin_in_space_are_not_overlooked(blind: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two floors the smooth one may take so much that the other lets go, in the direction of what pulls."""
@@ -370,6 +372,7 @@ def test_exact_rates_where_forces_are_shared_are_those_in_doubles_and_difference
     assert min(seen[name] for name in ("load", "gap", "slip_origin", "friction", "reach")) >= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blind", [False, True])
 def test_of_floors_that_move_hardly_apart_it_is_not_told_which_holds(
     blind: bool, monkeypatch: pytest.MonkeyPatch
@@ -384,6 +387,7 @@ def test_of_floors_that_move_hardly_apart_it_is_not_told_which_holds(
     assert answer.derivative("displacement", "gap", [1.0, 1.0]).bound is not None
 
 
+@pytest.mark.slow
 def test_held_rows_that_are_independent_may_push_along_ones_that_are_not() -> None:
     """With a coefficient of one a slip pushes along the row that a tie holds: the least system holds nothing then."""
     held = cq.ContactProblem(

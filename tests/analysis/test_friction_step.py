@@ -202,7 +202,7 @@ def test_a_step_that_fails_says_where() -> None:
         cq.follow_path(problem, loads, steps=4, algorithm="tresca", max_iter=1)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.0, 1e-17, 1e-13])
 def test_a_body_that_lies_on_one_contact_is_anchored_there_whatever_rounding_makes_of_its_gap(gap: float) -> None:
     """Three masses on one middle foot hold each other by bending; the outer feet come down at 0.2 of the load.

@@ -48,6 +48,7 @@ def directions(problem: cq.ContactProblem) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("rough", [False, True])
 def test_derivatives_and_gradients_are_those_of_what_acts(rough: bool) -> None:
     few, whole = map(cq.solve, pair(rough))
@@ -78,6 +79,7 @@ def test_derivatives_and_gradients_are_those_of_what_acts(rough: bool) -> None:
                 assert apart.shape == matrix.shape
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("rough", [False, True])
 def test_gradients_and_jacobians_of_gaps_and_slips_there_are_those_of_derivatives(rough: bool) -> None:
     """With weights on what never closes and on a row of zeros, whose gap may change, too."""
@@ -160,6 +162,7 @@ BETWEEN_WALLS = cq.ContactProblem([[2.0]], [0.0], [[1.0], [-1.0]], [0.0, 0.0])
 PRESSED = cq.ContactProblem([[2.0]], [3.0], [[1.0], [0.0], [0.0]], [1.0, 0.0, 0.5])  # beside rows of zeros
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("problem", "direction", "missing"),
     [

@@ -367,9 +367,14 @@ def test_a_mechanism_says_what_makes_it_stiff():
     """A bar held at one end and pushed across itself; in balance it hangs along the load, N / E A longer."""
     bar, held, across = cq.NonlinearTruss([[0, 0], [1, 0]], [[0, 1]], 1e10, 1e-4), np.eye(4)[:2], [0, 0, 0, 100.0]
     with pytest.raises(NotConverged, match=r"the load drives a mechanism, .*: stretch it first, .* \(start=\)"):
-        cq.large_deformation(bar, [across], tie=held, steps=1, max_iter=20)
+        cq.large_deformation(bar, [across], tie=held, steps=1, max_iter=4)
     hanging = cq.large_deformation(bar, [across], tie=held, steps=1, start=[0, 0, -1.0, 1.0])[-1]
     np.testing.assert_allclose(hanging.displacement, [0, 0, -1.0, 1.0 + 1e-4], atol=2e-8)
+
+
+@pytest.mark.slow
+def test_a_mechanism_that_is_stretched_first_is_stiff():
+    bar, held = cq.NonlinearTruss([[0, 0], [1, 0]], [[0, 1]], 1e10, 1e-4), np.eye(4)[:2]
     stretched = cq.large_deformation(bar, [[0, 0, 100.0, 0], [0, 0, 100.0, 100.0]], tie=held, steps=2)[-1]
     end = np.array([1.0, 0.0]) + stretched.displacement[2:]
     np.testing.assert_allclose(np.hypot(*end), 1.0 + 2**0.5 * 1e-4, atol=4e-8)

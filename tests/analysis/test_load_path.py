@@ -224,6 +224,7 @@ def test_a_small_gap_beside_a_large_force_closes_at_its_time_in_any_units(length
     assert [event.time for event in events] == pytest.approx([0.0, 0.5], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_load_that_tips_a_body_is_told_with_its_time() -> None:
     """A seesaw with its load beyond one support: the other lifts off at 10/11 of the second leg, in the last step."""
     seesaw = cq.ContactProblem(np.zeros((2, 2)), [-1.0, 0.0], [[-1.0, 1.0], [-1.0, -1.0]], [0.0, 0.0])

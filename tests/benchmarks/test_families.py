@@ -96,6 +96,7 @@ def test_no_bound_is_below_the_true_error(name: str, seed: int, method: str) -> 
     assert [bound for bound in report.bounds if bound.below] == []
 
 
+@pytest.mark.slow
 def test_a_truth_without_forces_passes_where_the_solution_beside_it_presses_pairs_of_rows_together() -> None:
     """Forces that closed rows may share in another way were an error of the size of those that cancel."""
     report = judging.judge("paired_inequalities", 4, ("active-set",))
@@ -285,7 +286,7 @@ FEW += ["bedded", "decaying_path", "pushed_rigidly", "unstrained", "interference
 FEW += ["printed_floating", "far_gap", "scaled_contact"]
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", FEW)
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))

@@ -30,6 +30,7 @@ def solved(name: str, time_limit: float) -> Run:
     return run_ours(Published(name, cq.local_form_of(cq.read_problem(published(name)))), DEFAULT, time_limit)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", [_slow(name) for name in SURVEY if name not in HARD])
 def test_a_published_problem_is_solved(name):
     run = solved(name, TIME_LIMIT)
@@ -43,6 +44,7 @@ def test_these_are_at_least_28():
     assert len(SURVEY) - len(HARD) >= 28
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HARD)
 # What is left to go on with: nearer than no forces, whose error is 1, by as much as the time of any machine allows.
 @pytest.mark.parametrize(("time_limit", "error"), [(1.0, 0.5), pytest.param(TIME_LIMIT, 1e-2, marks=pytest.mark.slow)])

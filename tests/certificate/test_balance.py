@@ -57,6 +57,7 @@ def test_unknowns_without_outer_forces_are_no_part_of_the_program(monkeypatch: p
     assert sampled <= found * (1 + 1e-6) <= 1.2 * sampled
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("turned", [1.0, -1.0])
 def test_forces_where_no_motion_moves_do_no_work(turned: float) -> None:
     """A frame on springs that leave it one motion, which does not move the unknown that is loaded and stopped.
@@ -138,6 +139,7 @@ def test_a_massless_node_that_a_tie_holds_without_a_force_leaves_the_bounds(load
     assert solution.certificate.energy_error <= 1e-12
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("load", [1.0, 1e6])
 def test_a_rounding_of_forces_elsewhere_at_a_massless_node_needs_no_balance(load: float) -> None:
     """A tie force of 1e-13 of the load was all of the forces at the massless node, and out of balance."""
@@ -152,7 +154,8 @@ def test_a_rounding_of_forces_elsewhere_at_a_massless_node_needs_no_balance(load
     assert cq.certify(problem, normal_force=[0.0]).passed
 
 
-@pytest.mark.parametrize("noise", [0.0, 8.4e-40, -1e-33])
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("noise", [8.4e-40, 0.0, -1e-33])
 def test_a_tie_force_of_rounding_needs_no_balance_where_nothing_is_stiff(noise: float) -> None:
     """Two walls press on a node from both sides, by 13 and 11.75; a tie holds another node, with next to no force."""
     rows = dict(normal=[[0, 1, -1], [-1, 0, 1], [1, 0, -1], [4, 0, -4]], gap=[-0.5, 0, 0, 0.375])

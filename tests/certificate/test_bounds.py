@@ -275,6 +275,7 @@ def test_the_truth_is_accepted_where_no_contact_pushes_and_rounding_is_smaller_t
     assert cq.certify(problem, u, force, tie_force=found.tie_force if problem.ties else None).passed
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(8))
 def test_bounds_of_printed_forces_are_not_below_the_error_by_a_rounding(seed: int) -> None:
     """The error of a printed force is the difference of two numbers, and the bound was the same difference, rounded."""
@@ -295,6 +296,7 @@ def test_bounds_of_printed_forces_are_not_below_the_error_by_a_rounding(seed: in
             assert all(error <= Fraction(most) for error, most in zip(errors, bound, strict=True))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("weight", "ahead"), [(1e-4, -2.1), (0.1, 3.1)])
 def test_ties_that_move_bodies_without_a_force_are_proven(weight: float, ahead: float) -> None:
     """The plan of a double integrator whose states cost nothing: it drifts, no thrust is needed, and energy is zero."""

@@ -260,7 +260,7 @@ def test_figures_are_invariant_under_scaling_of_unknowns_and_rows(
     _agree(_figures(problem, u, force), _figures(_scaled(problem, unknowns, contacts), u / unknowns, force / contacts))
 
 
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=6)
 @given(seed=st.integers(0, 40), floating=st.booleans(), length=st.integers(-6, 6), size=st.integers(-6, 6))
 def test_figures_are_invariant_under_change_of_units(seed: int, floating: bool, length: int, size: int) -> None:
     problem, u, force = _candidate(seed, floating)
@@ -293,7 +293,7 @@ def test_figures_are_invariant_under_permutation(seed: int, floating: bool, data
 # --- bounds -----------------------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 400), size=st.floats(-12, 0.5), what=st.sampled_from(["u", "force", "both"]))
 def test_bounds_are_never_below_the_truth_and_near_it(seed: int, size: float, what: str) -> None:
     problem = seeded_problem(seed)
@@ -415,6 +415,7 @@ def test_friction_on_a_node_that_is_held_across_stays_within_its_bound(rub: floa
     assert (judged.cone > 1e-3) is not passes
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("tangent", [[[0.0, 1.0], [0.0, 0.0]], [[0.0, 0.6], [0.0, 0.8]]], ids=["zero", "parallel"])
 def test_friction_along_what_no_unknown_feels_counts_in_the_cone(tangent: list[list[float]]) -> None:
     """In space a node that is held in one tangential direction, along an axis or between the two that are stated."""

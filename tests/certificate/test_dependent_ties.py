@@ -110,7 +110,7 @@ def test_dependent_ties_are_named_where_nothing_is_condensed() -> None:
         cq.solve(membrane.replace(tie_value=[0.001, 0.001, 0.0041, 0.0]))
 
 
-@pytest.mark.sampled(16)
+@pytest.mark.sampled(24)
 @pytest.mark.parametrize("seed", range(24))
 def test_bounds_of_shared_forces_hold_in_any_units(seed: int) -> None:
     """Of the forces of contacts and ties, |E'dl + A'dnu| in K^-1 over that of the answer is no larger than the bound.

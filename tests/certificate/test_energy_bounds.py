@@ -269,6 +269,7 @@ def test_the_rounding_of_a_rigid_motion_is_no_negative_energy(shift: float) -> N
     assert cq.solve(chain, condense=False).certificate.proven
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(3))
 def test_forces_on_soft_parts_are_bounded_beside_stiff_ones(seed: int) -> None:
     """The contact carries its load exactly and nothing else is strained: the force is the load, however soft the body.
@@ -428,6 +429,7 @@ def without_forces(size: int) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["active-set", "clarabel"])
 def test_forces_that_rounding_leaves_where_there_are_none_are_beside_nothing(method: str) -> None:
     """Forces of 1e-48 were compared with each other, and the answer refused for being off by a tenth of them."""
@@ -438,7 +440,7 @@ def test_forces_that_rounding_leaves_where_there_are_none_are_beside_nothing(met
 
 
 def test_a_force_where_there_are_none_is_refused() -> None:
-    problem = without_forces(100)
+    problem = without_forces(30)
     solution = cq.solve(problem)
     force = solution.normal_force.copy()
     force[[0, -1]] += 1e-8

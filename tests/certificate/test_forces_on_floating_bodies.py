@@ -98,6 +98,7 @@ def test_a_candidate_far_away_does_not_make_the_truth_small() -> None:
     assert not found.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("far", [1e16, 1e22, 1e24, 1e34, 1e60])
 @pytest.mark.parametrize("frictional", [False, True])
 def test_no_motion_is_so_large_that_it_hides_what_is_wrong(far: float, frictional: bool) -> None:
@@ -162,6 +163,7 @@ def _grazing(push: float) -> cq.ContactProblem:
     )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("power", [-40, -37, -34, -31, -29])
 def test_bounds_of_forces_contain_what_a_load_leaves_out_of_balance(power: int) -> None:
     """A force of 2^-29 beside one of 5e6 is within rounding of a balance without it, which does not make it zero."""
@@ -252,6 +254,7 @@ FREE: dict[str, tuple[dict[str, object], str]] = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("condense", [True, False])
 @pytest.mark.parametrize("what", FREE)
 def test_a_displacement_is_determined_where_no_motion_is_free(what: str, condense: bool) -> None:

@@ -231,6 +231,7 @@ def law(y: Any, A: Any, B: Any, P: Any, mu: Any, N: Any, s: Any) -> Any:
     return y + np.einsum("iwp,iw->p", B, (mu * (N + P @ y) / np.linalg.norm(slip, axis=1))[:, None] * slip)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("skew", [False, True])
 def test_a_ball_of_slips_has_one_answer_at_most(skew: bool) -> None:
     """Newton's map contracts between any two points of the ball, and not in one sixteen times as large."""

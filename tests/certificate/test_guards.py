@@ -58,7 +58,7 @@ def test_a_millionth_of_what_counts_is_refused_beside_every_floor(kind: str, see
     assert passed == []
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("unit", [1.0, 2.0**-30, 2.0**40])
 def test_parts_without_stiffness_have_forces_of_their_own(unit: float) -> None:
     """A load of 8e-12 between two stops, beside one of 5e-4 that nothing joins it to: a tension of 1e-6 of the small

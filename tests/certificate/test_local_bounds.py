@@ -195,7 +195,7 @@ def other_slips(W: Any, q: Any, mu: float, angle: float) -> list[Any]:
 
 
 @pytest.mark.parametrize("form", ["local", "skew", "bodies"])
-@pytest.mark.parametrize("problems", [50, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [20, pytest.param(2000, marks=pytest.mark.slow)])
 def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
     """In space, where friction beside the critical one has two answers near each other."""
     rng, local = np.random.default_rng(4), 0
@@ -227,7 +227,7 @@ def test_no_other_slip_is_within_the_radius(form: str, problems: int) -> None:
             local += 1
             apart = [float(np.sqrt((other - right) @ W @ (other - right))) for other in others]
             assert min(apart) > found.radius
-    assert local >= problems // 50
+    assert local >= max(1, problems // 50)
 
 
 @pytest.mark.parametrize(

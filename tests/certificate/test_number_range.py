@@ -186,7 +186,7 @@ def test_unknowns_without_stiffness_are_measured_by_their_own_entries() -> None:
     assert found.displacement[0] == pytest.approx(1.0)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("force", [[0.0, 0.0, 0.0], [0.0, 1e200, 1.0], [1.0, 1e-160, 1e-300]])
 def test_what_is_missing_is_recovered_in_any_units(force: list[float]) -> None:
     far = cq.ContactProblem([[0.0]], [0.0], [[0.0], [1.0], [1e-198]], [0.0, 0.0, 0.0])
@@ -343,7 +343,7 @@ def test_rows_of_several_sizes_hide_no_tension_where_nothing_is_stiff() -> None:
     assert "tension" in torn.failures[0]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("apart", [1e6, 1e12, 1e16, 1e40, 1e100])
 def test_unknowns_that_nothing_is_stiff_at_have_units_of_their_own(apart: float) -> None:
     """Two unknowns tied and held by rows alone, in units far apart: lengths of one hide none of the other."""
@@ -360,7 +360,7 @@ def test_unknowns_that_nothing_is_stiff_at_have_units_of_their_own(apart: float)
     assert not cq.certify(problem, np.array([-2.0, -0.5]) / units, pushing[0], None, [tie]).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("unit", [2.0**10, 2.0**20, 2.0**36])
 def test_an_unknown_without_stiffness_has_no_unit_of_the_stiff_one_beside(unit: float) -> None:
     """The stiff one's own unit is 2^10: measured by that, entries of a row are up to 2^46 times each other."""
@@ -376,7 +376,8 @@ def test_an_unknown_without_stiffness_has_no_unit_of_the_stiff_one_beside(unit: 
     assert solution.certificate.proven
 
 
-@pytest.mark.parametrize("decades", [0, 3, 6])
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("decades", [6, 0, 3])
 def test_redundant_rows_on_unknowns_in_units_apart(decades: int) -> None:
     """Where the closed rows and a tie leave forces undetermined K, which sees one unknown, measures them."""
     columns = np.exp2(np.round(np.log2(10) * decades * np.array([1, -1, 0, 1])))
@@ -453,7 +454,7 @@ def test_small_numbers_beside_others_are_no_reason_to_refuse(where: float) -> No
     assert solution.displacement.tolist() == [0.0, where]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("size", [1e-145, 1e10, 1e145])
 def test_derivatives_have_their_digits_or_are_refused(size: float) -> None:
     """An unknown without stiffness in a tie of 1e155: its motion is as long, its square infinite, its rate was zero."""

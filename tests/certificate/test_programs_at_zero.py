@@ -66,6 +66,7 @@ def near_parallel(blocks: int, apart: float) -> np.ndarray:
 STIFFNESSES = {"none": (0.0, 0.0), "the first of each pair": (1.0, 0.0), "the second": (0.0, 1.0)}
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("blocks", [1, 10])
 @pytest.mark.parametrize("exponent", [8, 16, 28])
 @pytest.mark.parametrize("stiffness", STIFFNESSES)
@@ -124,6 +125,7 @@ def test_the_forces_of_a_part_without_stiffness_are_judged_beside_a_body() -> No
     assert not cq.certify(problem, answer.displacement, [1.01, 0.99, 1.0]).passed
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("exponent", [16, 25, 28])
 @pytest.mark.parametrize("stiff", [False, True], ids=["alone", "beside a spring"])
 def test_forces_of_nearly_parallel_rows_are_judged_where_no_length_is_stated(exponent: int, stiff: bool) -> None:
@@ -140,6 +142,7 @@ def test_forces_of_nearly_parallel_rows_are_judged_where_no_length_is_stated(exp
     np.testing.assert_allclose(cq.solve(problem).normal_force, [2.0, 1.75], rtol=1e-7)
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("tied", [False, True], ids=["contacts", "ties"])
 @pytest.mark.parametrize("stiff", [False, True], ids=["no stiffness", "one spring"])
 @pytest.mark.parametrize("seed", range(8))

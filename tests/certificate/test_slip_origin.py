@@ -51,6 +51,7 @@ def node_on_a_guide(width: int, origin: float, friction: float = 0.5) -> cq.Cont
     )  # fmt: skip
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("width", [1, 2])
 @pytest.mark.parametrize("origin", [0.0, 1e-30, 1e-17, -1e-17, 1e-14, 1e-12])
 def test_a_slip_that_is_nothing_beside_what_meets_proves_no_answer_the_only_one(width: int, origin: float) -> None:

@@ -267,14 +267,14 @@ def test_cases_side_by_side_print_what_they_print_one_by_one(capsys, tmp_path):
     text = (CASES / "bar_wall.toml").read_text(encoding="utf-8")
     turned = tmp_path / "turned.toml"
     turned.write_text(text.replace("normal = [-1]", "normal = [1]"), encoding="utf-8")
-    files = [CASES / "truss_floor.toml", turned, CASES / "two_bars.toml"]
+    files = [turned, CASES / "two_bars.toml"]
     one_by_one, together = (run(capsys, "run", *files, "--jobs", jobs) for jobs in ("1", "2"))
     assert one_by_one == together
     assert not [thread.name for thread in threading.enumerate() if "Executor" in type(thread).__name__]
     code, out, err = together
     assert code == 1
     assert err.count("contactqp: warning: ") == 1
-    assert out.splitlines()[-1].startswith("2 of 3 met")
+    assert out.splitlines()[-1].startswith("1 of 2 met")
 
 
 @pytest.mark.slow

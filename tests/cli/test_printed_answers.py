@@ -216,7 +216,7 @@ PROVEN = {
 }  # fmt: skip
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("case", PROVEN)
 def test_answers_to_frictional_cases_are_proven_where_they_are_the_only_ones(capsys, case):
     certificate = json.loads(run(capsys, "run", CASES / f"{case}.toml", "--json")[1])[0]["certificate"]

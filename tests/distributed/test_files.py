@@ -42,6 +42,7 @@ def test_a_problem_of_the_first_rank_is_dealt_out(on_ranks, gallery, ranks):
     are_the_same(on_ranks("problems_of_first_rank.py", ranks, *(gallery / name for name in NAMES)), ranks, NAMES)
 
 
+@pytest.mark.slow
 def test_a_part_that_is_wrong_is_seen(on_ranks, gallery):
     # Two ranks write at once, so that of a line no more than this is sure to hold together.
     with pytest.raises(pytest.fail.Exception, match="load: off"):
@@ -65,7 +66,8 @@ def test_the_command_prints_the_answer_once(python_on_ranks, gallery, tmp_path):
             assert np.abs(values - others).max() <= 1e-9 * np.abs(others).max()
 
 
-@pytest.mark.parametrize("ranks", [2, *(pytest.param(ranks, marks=pytest.mark.slow) for ranks in (1, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [2, 1, 3])
 def test_a_broken_file_is_refused_in_one_line(python_on_ranks, gallery, tmp_path, ranks):
     cq.write_problem(tmp_path / "broken", cq.read_problem(gallery / "tied-1"))
     file = tmp_path / "broken" / "stiffness.mtx"

@@ -26,7 +26,10 @@ RUN_ELSEWHERE = {
     "docs/report.md": "tests/study/test_claims.py, on a report of a few cases",
 }
 # Pages whose blocks take seconds.
-LONG = tuple(f"docs/guide/{name}.md" for name in ("bodies", "derivatives", "friction", "large_deformation"))
+LONG = (
+    "docs/constrained_energy.md",
+    *(f"docs/guide/{name}.md" for name in ("bodies", "derivatives", "friction", "large_deformation", "load_cases")),
+)
 GOES_ON = "mpiexec -n 4 python -m contactqp run case.toml --engine petsc --checkpoint steps"
 # A block by its page and first line, a command by its line: why it is not run here.
 NOT_RUN = {

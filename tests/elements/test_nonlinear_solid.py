@@ -158,6 +158,7 @@ def test_a_block_in_tension_has_its_closed_form(model, law):
     assert history.energies[-1].elastic == pytest.approx(body_.energy(history[-1].displacement))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_block_is_pressed_flat_by_a_plane(law):
     """Under a rigid plane that comes down by a tenth, without friction: the same closed form, from the other side."""

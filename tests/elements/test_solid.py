@@ -63,7 +63,7 @@ def patch_error(b, K):
     return np.abs(found - u[~held]).max() / np.abs(u).max()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_a_constant_strain_is_exact_on_a_distorted_mesh(kind, model):
     b = Body(distorted(kind, 3 if kind in ("tri3", "tet4") else 2), STEEL, model)
@@ -101,7 +101,7 @@ def test_the_stiffness_is_symmetric_to_the_last_digit_and_only_rigid_motions_cos
     assert eigenvalues[rigid] > 1e-5 * eigenvalues[-1]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_the_internal_forces_are_those_of_the_stresses(kind, model):
     """u'K u is the integral of stress times strain: B in the stiffness, and displacement gradients in the stresses."""

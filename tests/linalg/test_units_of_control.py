@@ -30,6 +30,7 @@ def double_integrator(steps: int) -> dict[str, Any]:
     return dict(P=P, q=np.zeros(3 * steps), A=sp.csr_array(moves), b=value, lb=-limit, ub=limit)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("unit", [1e-7, 1e7])
 @pytest.mark.parametrize("steps", [20, 50])
 def test_control_in_other_units_is_proven_and_has_the_same_energy(steps: int, unit: float) -> None:
@@ -119,6 +120,7 @@ def test_what_rounding_of_units_decides_is_not_proven() -> None:
     assert not solution.certificate.proven
 
 
+@pytest.mark.slow
 def test_corrections_end_where_rounding_makes_a_set_of_contacts_recur(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their dual active set went round for minutes, until its budget was spent: 900 steps lead to the solution."""
     monkeypatch.setattr(least_norm, "PRODUCTS", 1e8)  # 4480 steps

@@ -339,6 +339,7 @@ def test_where_there_is_no_equilibrium_its_proof_is_handed_on(load: list[float])
     assert caught.value.proof is not None
 
 
+@pytest.mark.slow
 def test_motions_that_contacts_without_force_block_prove_no_absence() -> None:
     """Three feet in pyramids of friction: no motion is free, and held at values of floats they would miss contacts."""
     problem = family("pyramids_of_feet", 1)

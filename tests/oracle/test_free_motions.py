@@ -71,6 +71,7 @@ def test_the_command_prints_a_body_that_may_slide(capsys: pytest.CaptureFixture[
     assert "rest 665" in shown
 
 
+@pytest.mark.slow
 def test_holding_that_carries_more_than_rounding_is_refused() -> None:
     problem = build(cq.load_scene(CASES / "stacked_blocks.toml")).problem
     held = hold(problem, cq.solve(problem))
@@ -85,6 +86,7 @@ def test_holding_that_carries_more_than_rounding_is_refused() -> None:
         carried(held, refined, np.full(3, np.nan))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("stiffness", [[[1.0, -1.0], [-1.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
 def test_a_motion_that_two_contacts_without_force_block_is_not_free(stiffness: list[list[float]]) -> None:
     """Both move by (1, 1) only, contact 1 forbids it to the left and contact 2 to the right: u = (0.5, -1.5)."""

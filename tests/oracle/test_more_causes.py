@@ -280,6 +280,7 @@ def test_digits_are_no_cause_where_every_digit_is_right() -> None:
     assert "constrains nothing" in judged.diagnosis or "0.875" in judged.diagnosis
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("digits", [12, 13])
 def test_what_is_left_of_many_digits_is_no_offset_and_no_glue(digits: int) -> None:
     """A Winkler beam printed with more digits than are usual, at a tolerance beneath them: it has no other fault.

@@ -311,6 +311,7 @@ CLAMPED = (
 )  # fmt: skip
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("problem", "u", "force"), [NEARLY_PARALLEL, CLAMPED])
 def test_nearly_dependent_rows_do_not_share_what_rounding_leaves_of_a_displacement(
     problem: cq.ContactProblem, u: list[float], force: list[float]

@@ -274,7 +274,7 @@ def test_the_good_file_is_good(tmp_path, capsys):
     accept(capsys, str(file), "explain")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", MUTATIONS)
 def test_a_wrong_file_is_refused_in_one_line(name, tmp_path, capsys):
     old, new, words = MUTATIONS[name]

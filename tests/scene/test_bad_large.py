@@ -186,15 +186,9 @@ def test_wrong_large_deformations_are_refused_in_one_line(name, tmp_path, capsys
 BY_ARC = 'path = { control = "arc-length", arc_length = "2 cm", steps = 5 }'
 
 
-@pytest.mark.sampled(4)
-@pytest.mark.parametrize(
-    ("command", "path"),
-    [
-        *(("run", path) for path in (PATH, BY_NODE, BY_ARC)),
-        ("explain", BY_NODE),
-        *(pytest.param("explain", path, marks=pytest.mark.slow) for path in (PATH, BY_ARC)),
-    ],
-)
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("path", [BY_NODE, PATH, BY_ARC])
+@pytest.mark.parametrize("command", ["explain", "run"])
 def test_the_good_arch_is_good(tmp_path, capsys, command, path):
     file = tmp_path / "arch.toml"
     file.write_text(ARCH.replace(PATH, path).split("[[expect]]")[0] + CLAIM_OF_NOTHING)

@@ -230,6 +230,7 @@ def test_what_has_no_place_in_the_problem_is_told(tmp_path: pathlib.Path) -> Non
     assert any("no *SURFACE BEHAVIOR: HARD" in line for line in bare.ledger.assumed)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("enforcement", ["exact", "penalty"])
 def test_rounding_of_prescribed_displacements_drives_nothing(tmp_path: pathlib.Path, enforcement: str) -> None:
     free_to_slide = STACK.replace("ALL, 1, 2\n", "ALL, 1\n")  # the upper cube along y, which nothing resists

@@ -58,6 +58,7 @@ def rows(data, *claims):
     return found
 
 
+@pytest.mark.slow
 def test_a_scene_runs_to_the_history_of_the_analysis():
     history = cq.run(Scene(**ARCH, **BY_NODE))
     assert type(history).__name__ == "LargeHistory"

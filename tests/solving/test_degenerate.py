@@ -314,6 +314,7 @@ def _drawn_body(rng: np.random.Generator, *, rough: bool) -> dict[str, np.ndarra
     return data
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("rough", [False, True])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bodies_that_nothing_joins_have_the_answers_that_each_has_alone(seed: int, rough: bool) -> None:
@@ -371,6 +372,7 @@ def test_rows_that_meet_at_rest_are_not_exchanged_for_rounding(monkeypatch: pyte
     assert len(systems) <= 10
 
 
+@pytest.mark.slow
 def test_a_search_for_closed_contacts_ends_after_affordable_systems(monkeypatch: pytest.MonkeyPatch) -> None:
     """The stiffness has rank one, 300 rows act on 20 unknowns, and the answer to judge is far from the solution."""
     rng = np.random.default_rng(133)

@@ -29,7 +29,7 @@ def least_cost(problem: cq.ContactProblem) -> float:
     return float(found.fun)
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     problem = transport(seed)
@@ -45,7 +45,7 @@ def test_a_linear_program_has_its_energy_enclosed(seed: int) -> None:
     assert upper - lower <= 1e-9 * least
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_feasible_answer_that_costs_more_is_refused(seed: int) -> None:
     """Moved along a cycle of four, everything stays met, and the multipliers are those of the truth."""
@@ -109,7 +109,7 @@ def few_quadratic_terms(seed: int, size: int = 150) -> tuple[cq.ContactProblem, 
     return cq.ContactProblem.from_qp(**arrays), float(0.5 * x @ (P * x) + q @ x)
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_a_degenerate_program_in_mixed_units_has_its_energy_enclosed(seed: int) -> None:
     """Multipliers that press against each other, and forces of 1e-17 that nothing carries, took the digits of it."""
@@ -155,6 +155,7 @@ def test_balanced_units_make_entries_alike_and_give_answers_back(seed: int) -> N
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("cost", [1e-3, 1e-9])
 def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: float) -> None:
     # Goods that are bought and sold again at a small profit, beside a transport whose costs are ordinary ones.
@@ -174,7 +175,7 @@ def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: fl
     assert cq.solve(program.replace(load=-balanced * units)).certificate.passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: int) -> None:
     """Circulations within 1e5: in lengths of 1e-6 their few stiff arcs yielded as if they had no stiffness."""
@@ -200,6 +201,7 @@ def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: in
     assert solution.energy == pytest.approx(program.energy(raw.displacement), rel=1e-7)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("seed", range(6))
 def test_constraints_alone_are_met_without_forces(seed: int) -> None:
     """No energy and no load: any displacement within the constraints is an answer, and no force is needed."""

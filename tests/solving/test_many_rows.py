@@ -223,7 +223,7 @@ def test_degenerate_vertices_are_found_in_units_of_each_unknown_and_tie(seed: in
     assert solution.energy == pytest.approx(beside.energy, rel=1e-9)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(4))
 def test_programs_by_a_modelling_language_are_polished_on_sparse_systems(seed: int) -> None:
     pytest.importorskip("cvxpy")

@@ -31,6 +31,7 @@ def arch(thickness: float, voussoirs: int = 10, radius: float = 1.0, weight: flo
     return cq.ContactProblem(np.zeros((3 * voussoirs, 3 * voussoirs)), load, normal, np.zeros(len(normal)), **ties)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("radius", "weight"), [(1.0, 1.0), (5000.0, 2e5)])
 def test_the_least_thickness_of_a_semicircular_arch_is_milankovitchs(radius: float, weight: float) -> None:
     """0.1075 of the radius (M. Milankovitch 1907; J. Ochsendorf 2006); with ten voussoirs 0.10746."""

@@ -88,6 +88,7 @@ def test_the_load_of_bodies_is_told_with_what_acts_on_supports(factor: float, sa
     assert labels == [] if not said else labels[0].startswith(f"load, in all {said} along x and y")
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("supported", [True, False])
 def test_a_solid_at_large_deformation_is_drawn_where_it_is(supported: bool) -> None:
     """A block between a plane that comes down by a tenth and its supports, or ties, which hold its lower side."""

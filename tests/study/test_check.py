@@ -285,6 +285,7 @@ def test_columns_of_forces_in_another_order_are_refused_and_their_names_told(cap
         assert "expected columns in the order N, T1, T2" in err
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [

@@ -201,6 +201,7 @@ class _Replayed:
         }[function]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("recorded", RECORDED)
 def test_the_time_that_is_left_is_right_within_a_third_after_the_first_fifth(
     recorded: str, monkeypatch: pytest.MonkeyPatch

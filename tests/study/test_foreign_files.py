@@ -67,7 +67,7 @@ def test_directions_by_all_their_names():
     assert plain_name(".x") is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("names", [("1.1", "1.2", "2.1"), ("1.UX", "1.UY", "2.UX"), ("1.u1", "1.y", "2.D1")])
 def test_unknowns_spelled_otherwise_are_found_and_the_ledger_says_so(capsys, text, names):
     code, out, _ = check(capsys, respelled(text, *names))

@@ -136,7 +136,7 @@ def _with(name: str, key: str | None, value: Any) -> Callable[[dict[str, Any]], 
     return change
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize(
     "change",
     [

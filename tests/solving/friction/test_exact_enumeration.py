@@ -112,7 +112,7 @@ def _rational_problem(rng: np.random.Generator) -> cq.ContactProblem:
     )
 
 
-@pytest.mark.parametrize(("count", "each"), [(12, 0), pytest.param(150, 5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "each"), [(6, 0), pytest.param(150, 5, marks=pytest.mark.slow)])
 def test_floating_point_finds_what_rational_numbers_find(count: int, each: int) -> None:
     """Every displacement, to the last digits; of a continuum at least one member."""
     rng = np.random.default_rng(18)
@@ -220,6 +220,7 @@ def test_systems_that_contradict_or_leave_free() -> None:
     assert found.free == [[-2, 1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_bodies_without_an_equilibrium_have_none_beside_others(first: bool) -> None:
     """What four contacts cannot hold is not held either where a body that stands apart has a fifth one."""

@@ -26,6 +26,7 @@ def test_both_answers_of_bodies_that_contacts_alone_hold_are_told_apart() -> Non
         assert answer.certificate.uniqueness == (SEVERAL,)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("stiffness", [[[1.0, 0.5], [0.5, 0.25]], [[1.0, 0.0], [0.0, 1.0]], [[2.0, 1.0], [1.0, 3.0]]])
 def test_a_contact_that_a_tie_holds_shut_wedges_with_any_force(stiffness: list[list[float]], sign: float) -> None:
@@ -111,6 +112,7 @@ def test_forces_that_a_contact_without_force_could_take_are_others() -> None:
         assert judged.uniqueness == (FORCES,)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("apart", [1.0, -1.0])
 def test_redundant_contacts_without_load_share_forces_where_they_press_against_each_other(apart: float) -> None:
     """Two contacts touch a mass that nothing presses: from both sides they may wedge it, from one side they may not."""

@@ -51,6 +51,7 @@ def planted_on_a_rigid_body(
     return problem, u, force, drag
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [37, 113, 270, 428])
 def test_answers_of_rigid_bodies_are_found_and_pass(seed: int) -> None:
     """No stiffness gives gaps and forces a scale: what rounding leaves of a zero length is measured by others."""
@@ -66,6 +67,7 @@ def test_answers_of_rigid_bodies_are_found_and_pass(seed: int) -> None:
         assert not cq.certify(problem, u + 1e-6 * problem.normal.toarray()[np.argmax(force)], force, drag).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [66, pytest.param(368, marks=pytest.mark.slow)])
 def test_bodies_that_wedge_themselves_are_answered_from_drawn_combinations(seed: int) -> None:
     """With friction of 64 on four of five contacts no other algorithm comes to an answer."""
@@ -77,6 +79,7 @@ def test_bodies_that_wedge_themselves_are_answered_from_drawn_combinations(seed:
     assert pushed == pytest.approx(problem.load, abs=1e-12 * np.max(abs(problem.load)))
 
 
+@pytest.mark.slow
 def test_no_combination_is_drawn_where_steps_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn ones count as steps only where they are near; a diagnosis that allows 20 took 4 s over its questions."""
     problem, *_ = planted_on_a_rigid_body(66, (0.02, 1.0, 8.0, 64.0))
@@ -159,6 +162,7 @@ def test_an_iterate_that_satisfies_the_law_is_the_answer_where_no_combination_ca
     assert solution.certificate.passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("decades", [6.5, 7.0, 8.0])
 def test_a_contact_on_springs_many_decades_apart_is_solved(decades: float) -> None:
     """Its normal and its tangent are nearly one row beside the soft spring, and yet no forces balance each other."""
@@ -179,6 +183,7 @@ def test_a_contact_on_springs_many_decades_apart_is_solved(decades: float) -> No
     assert not cq.certify(problem, u, [5.005], [0.5]).passed
 
 
+@pytest.mark.slow
 def test_an_iterate_that_meets_the_law_is_no_end_where_the_stiffness_is_ill_conditioned() -> None:
     """K spans ten decades, forces in error by 1e-13 of the law are no answer yet, and another algorithm has it."""
     factor = np.array(

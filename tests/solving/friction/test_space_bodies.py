@@ -95,7 +95,7 @@ def test_a_load_that_drives_a_motion_by_rounding_only_drives_none() -> None:
     np.testing.assert_allclose(solution.displacement, u - motion * (motion @ u), atol=1e-9)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("way", ["by itself", "nsgs", "admm", "aclm, clarabel"])
 def test_a_contact_that_is_there_three_times(way: str) -> None:
     one = block(4.0 * direction(1.0))

@@ -276,6 +276,7 @@ TEXTBOOK: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("unit", [2.0**-66, 1.0, 2.0**66])
 @pytest.mark.parametrize("load", [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
 @pytest.mark.parametrize(("method", "options"), TEXTBOOK)
