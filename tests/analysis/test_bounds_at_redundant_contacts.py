@@ -108,6 +108,7 @@ def test_ties_that_repeat_leave_the_bounds_of_what_is_unique(rough: bool) -> Non
     assert rough or nearly.derivative("displacement", "load", direction).bound_reason.startswith(conflict)
 
 
+@pytest.mark.slow
 def test_a_wall_that_repeats_another_and_turns_with_it_keeps_the_bounds() -> None:
     problem = cq.ContactProblem(np.diag([2.0, 3.0]) + 1, [9.0, 5.0], [[0.1, 0.2], [0.2, 0.4]], [0.25, 0.5])
     solution, turn = cq.solve(problem), np.array([[1 / 3, -1 / 7], [2 / 3, -2 / 7]])

@@ -247,6 +247,7 @@ def membrane(twice: list[int]) -> cq.ContactProblem:
     return cq.ContactProblem(K, np.full(3600, -0.01), sp.vstack([rows, rows[twice]]), np.full(3600 + len(twice), 0.5))
 
 
+@pytest.mark.slow
 def test_a_gradient_of_a_large_body_is_one_substitution(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes half as many as one that is refined, at most, and is as right as rates whose errors are bounded."""
     plate, middle = membrane([]), np.arange(1800, 1860)
@@ -469,7 +470,7 @@ def test_a_tie_of_zeros_has_no_force_whose_gradient_could_not_exist() -> None:
             ask("displacement", "tie_value")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-320, 1e-300, 1e300])
 def test_directions_of_any_size_have_rates_or_a_reason(size: float) -> None:
     """Refinement of a subnormal direction contracts by nothing: its remainder was divided by zero."""

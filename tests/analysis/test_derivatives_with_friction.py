@@ -419,6 +419,7 @@ def test_what_hardly_sticks_or_slips_is_told_from_what_is_at_its_bound() -> None
     assert found[2].reach == pytest.approx((2.0**-40, np.inf))
 
 
+@pytest.mark.slow
 def test_contacts_that_may_share_their_forces_have_no_derivatives() -> None:
     """Opposite walls, or the same twice: in one of the states that may come, the forces are many."""
     K, half = np.diag([2.0, 5.0]), np.array([0.5, 0.5])

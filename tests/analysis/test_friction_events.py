@@ -342,7 +342,7 @@ def test_units_and_the_scale_of_rows_change_nothing(options: dict[str, object], 
         np.testing.assert_allclose(scaled.energies[-1].dissipated, dissipated * force * length, rtol=1e-9)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("push", [0.1, 0.0])
 def test_a_loose_body_that_the_load_sets_going_jumps_as_it_does_without_friction(push: float) -> None:
     """A block 0.1 above the floor falls at once: steps find it there, and no choice at a contact is to blame."""
@@ -363,7 +363,7 @@ def node_on_a_guide(friction: float) -> cq.ContactProblem:
     )  # fmt: skip
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.5, 0.9, 0.999999])
 @pytest.mark.parametrize(
     "options", [{"events": "exact"}, pytest.param({"steps": 60}, marks=pytest.mark.slow), {"steps": 7}]

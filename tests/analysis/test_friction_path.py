@@ -373,6 +373,7 @@ def test_notes_stop_after_their_operations_and_say_so(friction: float, monkeypat
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seeds", "steps"), [([3], 1), pytest.param(range(20), 3, marks=pytest.mark.slow)])
 def test_a_path_in_doubles_has_the_events_and_forces_of_the_exact_one(seeds: Sequence[int], steps: int) -> None:
     for seed in seeds:
@@ -462,7 +463,7 @@ def block_pushed_until_it_slides() -> tuple[cq.ContactProblem, list[Any]]:
     return problem, [problem.load + part * push for part in (0.0, 0.75, 0.9)]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"steps": 4}, {"events": "exact"}])
 def test_beyond_the_sliding_limit_there_is_no_path_and_what_was_is_kept(options: dict[str, Any]) -> None:
     """mu N = 1500 N are reached at the end of the second leg, with too many contacts to try all their combinations."""

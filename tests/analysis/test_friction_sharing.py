@@ -101,6 +101,7 @@ def _sides(*sides: tuple[list[float], list[float]]) -> tuple[Any, Any, Any]:
     return [side[0] for side in sides], [0.0] * len(sides), [side[1] for side in sides]
 
 
+@pytest.mark.slow
 def test_floors_of_other_coefficients_that_may_let_go_have_no_rates() -> None:
     """A load of 0.2 under 3 sticks by the one of 0.3, and slips where the smooth one takes more than 2.33."""
     for load in ([0.2, -3.0], [1.5, -3.0]):
@@ -110,6 +111,7 @@ def test_floors_of_other_coefficients_that_may_let_go_have_no_rates() -> None:
         assert found.reason
 
 
+@pytest.mark.slow
 def test_floors_without_friction_share_what_a_coefficient_of_one_of_them_makes() -> None:
     """Of 2 on two smooth floors a coefficient of one changes the displacement by -l_1/2, 0 to -1, one of both by -1."""
     floors = dict(normal=[FLOOR[0]] * 3, gap=[0.0, 0.0, 9.0], tangent=[FLOOR[1]] * 3, friction=[0.0, 0.0, 0.5])
@@ -146,6 +148,7 @@ def edge(load: list[float], friction: Any = 0.3) -> cq.Solution:
     return cq.solve(cq.ContactProblem(np.diag([4.0, 3.0, 5.0]), load, normal, [0.0, 0.0], tangent, friction))
 
 
+@pytest.mark.slow
 def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
     held = edge([0.2, 3.0, -3.0])
     assert held.contact_status.tolist() == ["stick", "stick"]

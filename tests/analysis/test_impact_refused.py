@@ -282,6 +282,7 @@ def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
         assert history[-1].displacement == pytest.approx(cq.solve(chain).displacement, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::contactqp.TimeStepWarning")
 @pytest.mark.parametrize("held", [pytest.param("tie", marks=pytest.mark.slow), "contact"])
 def test_what_comes_to_rest_under_a_load_that_ties_or_contacts_carry_is_right(held: str) -> None:

@@ -207,7 +207,7 @@ def test_ties_move_the_body_and_work_on_it():
     assert history.energies[-1].work == pytest.approx(history.energies[-1].elastic, rel=1e-2)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["clarabel", "lemke"])
 def test_stiffness_along_a_tie_makes_the_step_convex_for_every_method(method):
     """The tangent is indefinite along the tie alone, whose displacement is given: the same problem, now convex."""
@@ -433,6 +433,7 @@ def test_friction_with_an_approximate_method_is_refused():
         cq.large_deformation(arch(), [DOWN], node_over(FLOOR), friction=0.3, method="penalty", penalty=1e4)
 
 
+@pytest.mark.slow
 def test_a_slack_chain_takes_its_shape_without_a_snap():
     """At no load a chain has motions without stiffness; how far it falls then is no jump off a stable equilibrium."""
     nodes = [[0.0, 0.0], [0.6, -0.8], [1.4, -0.8], [2.0, 0.0]]

@@ -443,6 +443,7 @@ def test_functions_that_are_not_accurate_are_not_used(monkeypatch: pytest.Monkey
     assert many.work.routes == ("influence functions: 0 of 4 cases",)
 
 
+@pytest.mark.slow
 def test_the_table_of_load_cases_has_a_row_for_every_contact_of_every_case(tmp_path):
     problem, given = drawn(np.random.default_rng(7), "friction")
     many = cq.solve_many(problem, **given)

@@ -65,6 +65,7 @@ def test_a_chain_pulled_harder_than_friction_holds_says_what_may_help() -> None:
     assert caught.value.history[-1].load_factor == 1.5
 
 
+@pytest.mark.slow
 def test_a_node_that_lands_on_top_of_a_ball_and_stays_there_unstable_does_not_snap():
     """By symmetry nothing moves it, although 2 E A / L = 2 cannot hold it against its load on so small a ball."""
     post = cq.NonlinearTruss([[-2, 1], [0, 1], [2, 1], [0, 3]], [[0, 1], [1, 2], [1, 3]], 2.0, 1.0, law="engineering")

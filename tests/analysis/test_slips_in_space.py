@@ -197,6 +197,7 @@ def in_an_edge() -> cq.ContactProblem:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_answer_that_is_not_the_only_one_is_proven_for_its_rates_by_its_states() -> None:
     problem = in_an_edge()
     answer = cq.solve(problem)

@@ -49,6 +49,7 @@ def test_two_masses_on_springs(method: str, options: dict[str, Any], steps: int 
     assert history[-1].contact_status.tolist() == ["stick", "slip"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("method", "options"), SPRINGS)
 def test_two_masses_on_springs_in_steps(method: str, options: dict[str, Any], steps: int) -> None:

@@ -84,6 +84,7 @@ def test_the_commands_that_read_mutated_files_work_as_they_stand() -> None:
         assert out
 
 
+@pytest.mark.slow
 def test_archives_of_quadratic_programs_get_other_arrays(tmp_path: Path) -> None:
     file, read = tmp_path / "program.npz", []
     np.savez(file, P=np.eye(2), q=np.array([1.0, 2.0]))

@@ -72,6 +72,7 @@ def test_calculix_stores_the_stiffness_that_is_ours(tmp_path: Path) -> None:
     assert own_stiffness(tmp_path) <= 1e-12
 
 
+@pytest.mark.slow
 def test_both_files_of_results_are_one_answer(tmp_path: Path) -> None:
     """Seven digits in .dat, six in .frd; binary fields are refused."""
     if not calculix.available():

@@ -10,7 +10,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.pardiso import available
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.skipif(not available(), reason="needs pypardiso")
 @pytest.mark.parametrize("variant", hard_bodies.VARIANTS)
 def test_the_sparse_solver_makes_no_difference(monkeypatch, variant):

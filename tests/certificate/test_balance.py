@@ -97,6 +97,7 @@ def squeezed(net: float) -> cq.ContactProblem:
     return cq.ContactProblem(chain, load, [[1.0, 0, 0, 0]], [0.0])
 
 
+@pytest.mark.slow
 def test_no_bound_is_claimed_of_contact_forces_that_count_as_nothing_beside_what_squeezes() -> None:
     # 8 of 4.6e13 is 2e-13: the load counts as balanced, and a force of -8 or 0 passes every figure.
     right = cq.solve(squeezed(8.0))

@@ -154,6 +154,7 @@ def test_where_constraints_conflict_the_certificate_of_any_answer_says_so() -> N
         assert any(conflict in failure for failure in certificate.failures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [[0.0, 2.447265625, -121896961.8, 121896961.0, -1.4], [0.0, 0.0, -1.2e8, 1.2e8, 0.0]])
 def test_a_chain_that_its_tie_alone_holds_has_no_norm_of_forces_without_it(load: list[float]) -> None:
     """One link is 8e7 times stiffer than the others, so that K, which is singular, has all its pivots."""
@@ -200,6 +201,7 @@ def test_contacts_of_a_redundant_set_that_stay_apart_count_in_the_bounds() -> No
     assert certificate.energy_error >= np.sqrt(leaning @ K @ leaning)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "load", "normal", "gap"),
     [

@@ -177,7 +177,7 @@ def test_what_two_walls_exert_on_each_other_hides_no_load(squeeze: float) -> Non
         assert cq.certify(problem, [1.0, 0.0], [squeeze + 0.5, squeeze, 0.5], friction).passed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("squeeze", [1e8, 1.0, 1e14])
 def test_what_two_walls_exert_on_each_other_hides_no_load_in_space(squeeze: float) -> None:
     across = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -201,7 +201,7 @@ def test_forces_that_cancel_excuse_no_load_of_an_elastic_body_either(squeeze: fl
     assert not cq.certify(problem, u, [2.01 + squeeze, squeeze], np.zeros((2, 1))).passed
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "master-slave"])
 def test_a_body_that_only_moves_onto_skew_seats_is_right_however_they_share(method: str) -> None:
     """Gaps as doubles round them leave open which of the seats carry; the body is not strained by that."""
@@ -288,6 +288,7 @@ def test_unique_forces_have_no_such_note() -> None:
     assert not any("not unique" in note for note in solution.certificate.notes)
 
 
+@pytest.mark.slow
 def test_contacts_that_graze_and_can_never_press_are_no_other_forces() -> None:
     """Two equal rows touch beside a tie that neither load nor stiffness pushes: all forces are zero, and unique."""
     rows, gap = [[0.0, 1.0], [1.0, -1.0], [0.0, 1.0], [0.0, -1.0], [-1.0, -1.0]], [-1.0, 3.0, -1.0, 2.0, 1.0]
@@ -313,6 +314,7 @@ def test_a_contact_that_grazes_may_press_beside_others_that_already_do() -> None
     assert not any("unique" in note for note in idle.notes)
 
 
+@pytest.mark.slow
 def test_whether_forces_are_unique_is_told_in_any_units_of_rows() -> None:
     """Rows of 1e195 and 1e-201 made a matrix beyond the range of doubles; a right answer was refused for it."""
     rows = [[9e195, 0.0], [3e-173, 0.0], [0.0, 1.6e-201]]
@@ -322,6 +324,7 @@ def test_whether_forces_are_unique_is_told_in_any_units_of_rows() -> None:
     assert solution.normal_force[2] == pytest.approx(1.8e-7 / 1.6e-201)
 
 
+@pytest.mark.slow
 def test_a_grazing_contact_that_is_nearly_parallel_to_one_that_presses_is_left_out() -> None:
     """Two ties and two contacts hold a lattice that floats; noise of rounding counts the third contact as closed."""
     lower = {

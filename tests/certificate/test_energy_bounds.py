@@ -56,7 +56,7 @@ def test_what_is_left_of_the_stiffness_is_semidefinite(seed: int) -> None:
     assert np.min(np.linalg.eigvalsh(K - np.diag(dominance))) > -1e-12
 
 
-@pytest.mark.sampled(18)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("spread", [1e-9, 1e-5, 1e-2])
 def test_errors_are_relative_to_the_energy_norms_where_nothing_is_condensed(seed: int, spread: float) -> None:
@@ -255,7 +255,7 @@ def test_a_stationary_point_whose_elastic_energy_is_negative_has_no_bounds() -> 
         cq.solve(problem)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.1, 1.0 / 3.0, 7.3])
 def test_the_rounding_of_a_rigid_motion_is_no_negative_energy(shift: float) -> None:
     """A chain between bounds that only asks to be straight: u' K u is zero, and its rounding has either sign."""

@@ -125,6 +125,7 @@ def _chain(springs: list[float]) -> np.ndarray:
     return np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_resists_a_motion_by_no_more_than_its_rounding_proves_nothing_along_it():
     """Springs of 1 and 1e13 by turns: doubles hold what resists the softest motion to a few percent."""
     K, f = _chain([1.0, 1e13] * 30), np.random.default_rng(3).normal(size=60)
@@ -334,7 +335,7 @@ def _rounded_bar(first: float, second: float, load: float, rows: list[float], ga
     return cq.ContactProblem(K, [load, 0.0, -load], [rows], [gap])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), [(0.1, 0.2), (0.3, 0.6), (0.7, 0.1), (1.1, 2.2)])
 @pytest.mark.parametrize("moved", [1e5, 1e7])
 def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_from_the_error(first, second, moved):

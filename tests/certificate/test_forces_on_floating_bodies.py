@@ -113,6 +113,7 @@ def test_no_motion_is_so_large_that_it_hides_what_is_wrong(far: float, frictiona
     assert cq.certify(wedge, [2.0**40, 2.0**40 + 2.0, beside], [2.0], friction).passed
 
 
+@pytest.mark.slow
 def test_a_motion_that_a_tie_asks_for_without_forces_is_right() -> None:
     """A mechanism between two contacts that touch, moved by a tie alone: all forces are zero, exactly.
 
@@ -209,6 +210,7 @@ def test_noise_of_a_displacement_drives_nothing_where_nothing_loads_the_body() -
     assert not cq.certify(problem, noise, [0.0, 0.0, 0.0, 1e-3, 0.0], tie_force=np.zeros(2)).passed
 
 
+@pytest.mark.slow
 def test_what_rounding_strains_along_a_motion_that_a_tie_asks_for_is_no_error() -> None:
     """Nothing is strained; the answer differs from the middle of all by a motion that the tie holds."""
     problem = cq.ContactProblem(

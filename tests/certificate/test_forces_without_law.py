@@ -101,7 +101,7 @@ def test_a_contact_that_never_closes_has_no_force(force: float) -> None:
     assert certificate.force_error > 1e-5
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [STRAY, -STRAY, 1e-2])
 def test_units_of_rows_do_not_hide_a_force_that_the_law_makes_zero(force: float) -> None:
     """Rows scaled so far that the problem is judged in units of its own: the verdict, and the error, stay the same."""
@@ -173,7 +173,7 @@ def machine(spring: float) -> cq.ContactProblem:
     return cq.ContactProblem(np.diag([spring, 1e6 * spring]), [-1e5, 3e6], rows, [0.0, 0.1, 0.0])
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("spring", [0.0, 1e-12, 1e-9, 1e-7, 1e-3, 1.0])
 def test_which_feet_stand_on_their_shims_does_not_depend_on_weak_springs(spring: float) -> None:
     problem = machine(spring)

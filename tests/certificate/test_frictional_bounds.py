@@ -410,7 +410,7 @@ def by_sparse_systems(problem: cq.ContactProblem) -> cq.ContactProblem:
     return again
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("model", "tied"), [("plane-strain", False), ("plane-strain", True), ("3d", False), ("3d", True)]
 )

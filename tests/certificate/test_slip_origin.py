@@ -9,6 +9,7 @@ import contactqp as cq
 from contactqp.certificate.uniqueness import FORCES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "problems"), [(2, 20), *(pytest.param(width, 40, marks=pytest.mark.slow) for width in (1, 2))]
 )

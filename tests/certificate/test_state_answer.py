@@ -271,7 +271,7 @@ def test_beside_a_gap_that_a_body_crosses_rigidly_forces_are_not_nothing(gap: fl
     assert not cq.certify(problem, fallen - [0.0, 0.0, 0.0, 1.0], *forces).passed
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize(("off", "passes"), [(0.0, True), (1e-17, True), (-3e-17, True), (1e-6, False), (-1e-6, False)])
 def test_where_nothing_is_stiff_lengths_are_held_against_the_largest(off: float, passes: bool) -> None:
     problem = cq.ContactProblem(
@@ -387,6 +387,7 @@ def test_what_rounding_alone_measures_refuses_no_right_answer(make, displacement
     assert cq.certify(problem, np.array(displacement), *given).passed is (not wrong)
 
 
+@pytest.mark.slow
 def test_without_stiffness_the_rounding_of_a_gap_is_none() -> None:
     problem = _masonry()
     solution = cq.solve(problem)
@@ -396,7 +397,7 @@ def test_without_stiffness_the_rounding_of_a_gap_is_none() -> None:
     assert not cq.certify(problem, u, *given).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 12, 19])
 def test_forces_along_a_rigid_motion_have_no_size_but_that_of_the_strain(seed: int) -> None:
     """A body that floats up to roundings of its stiffness slides on one contact whose force pushes and drags along its

@@ -250,6 +250,7 @@ def test_a_case_without_an_answer_has_the_code_of_its_error(capsys):
     assert "maximum iterations reached" in data["failure"]
 
 
+@pytest.mark.slow
 def test_a_process_of_the_commands_own_does_not_look_for_garbage_at_its_end(monkeypatch, capsys):
     """Of 0.73 s of processor time 0.14 s went into that. Processes that call `main` themselves go on as they were."""
     calls: list[int] = []

@@ -184,6 +184,7 @@ def test_a_contact_that_leaves_its_obstacle_unpushed_is_doubted(capsys, tmp_path
         assert re.search(r"tip\.theta +-0\.0\d+ rad", out)
 
 
+@pytest.mark.slow
 def test_a_verdict_that_does_not_hold_is_exit_1(capsys, tmp_path):
     file = tmp_path / "off.toml"
     text = (CASES / "truss_floor.toml").read_text()

@@ -175,7 +175,6 @@ def test_hertz_at_every_node(model, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.sampled(20)
 @pytest.mark.parametrize(("model", "kind"), CASES)
 def test_a_rigid_punch_converges_with_first_order_from_the_axis_to_half_its_radius(model, kind):
     """p = P / (pi sqrt(a^2 - x^2)), P / (2 pi a sqrt(a^2 - r^2)) (Johnson 1985, section 2.8 and 3.7).
@@ -207,7 +206,7 @@ def punch(kind):
     return r[order], pairing.pressure(force)[order], force[order] / force.sum()
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PLANE_KINDS)
 def test_forces_that_facets_share_unevenly_are_right_together(kind):
     """A punch on facets that do not match: up to any r the force is P (1 - sqrt(1 - r^2)) (Johnson 1985, section 3.7).

@@ -69,7 +69,7 @@ def solved(rows: list[list[Fraction]]) -> list[Fraction]:
     return [row[-1] for row in rows]
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_the_energy_of_a_rounded_corner_is_enclosed(seed: int) -> None:
     problem, _, _ = corner(seed)
@@ -98,7 +98,7 @@ def test_planes_that_conflict_are_told_apart(seed: int) -> None:
     assert np.sum(vertex.closed[:ROWS]) == UNKNOWNS
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_forces_on_all_planes_and_on_three_of_them_both_pass(seed: int) -> None:
     problem, point, forces = corner(seed)

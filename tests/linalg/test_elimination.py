@@ -522,6 +522,7 @@ def test_a_band_without_an_inverse_is_told_and_a_wide_matrix_is_left_to_sparse_s
     assert K @ solve(np.ones(side**2)) == pytest.approx(1.0, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_unknowns_without_stiffness_may_be_retained():
     """PARDISO needs every entry of the diagonal; where rows were empty it had failed with an error of its own."""
     pytest.importorskip("pypardiso")

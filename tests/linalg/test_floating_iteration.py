@@ -147,7 +147,7 @@ def large(monkeypatch):
     monkeypatch.setattr("contactqp.linalg.iteration.MOST_OPERATIONS", 0.0)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["pardiso", "superlu"])
 @pytest.mark.usefixtures("large")
 def test_a_large_body_is_iterated_on_where_its_motions_are_stated(monkeypatch, by):

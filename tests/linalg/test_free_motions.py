@@ -11,6 +11,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 
 
+@pytest.mark.slow
 def test_free_motions_move_a_stiff_body_rigidly_though_it_hardly_moves() -> None:
     """Springs do no work: their nodes move alike, in every free motion of four chains on two walls."""
     K, bodies, moving = np.zeros((9, 9)), (slice(0, 3), slice(3, 5), slice(5, 7), slice(7, 9)), 0
@@ -116,6 +117,7 @@ def test_programs_of_sparse_systems_rest_at_the_least_norm(problem: cq.ContactPr
     assert solution.certificate.proven
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unknowns", "free"), [(100, 99), (700, 0)])
 def test_hundreds_of_unknowns_without_stiffness_are_searched_for_free_motions_and_no_more(
     unknowns: int, free: int

@@ -215,6 +215,7 @@ def test_what_is_iterated_on_is_large_and_in_space_unless_somebody_chooses(monke
         assert iterated(problem) == (choice == "pyamg")
 
 
+@pytest.mark.slow
 @needs_pyamg
 def test_the_way_follows_the_predicted_cost_of_factors_and_not_the_number_of_unknowns(monkeypatch):
     """A bar is eliminated from one end to the other, for a part of what a cube of as many unknowns takes."""

@@ -56,6 +56,7 @@ def test_the_v_cycle_is_symmetric_and_its_spectrum_ends_at_one(name, part):
     assert spectrum[-1] <= 1 + 1e-12
 
 
+@pytest.mark.slow
 def test_strong_springs_that_are_not_along_an_axis_leave_the_nodes_free_across_them():
     """On the diagonal alone they kept nodes from moving across them: steps of GMRES with friction rose threefold."""
     problem = SMALL["a row an unknown"]()

@@ -101,6 +101,7 @@ def test_a_program_has_the_entries_of_its_own_units_in_all_units(base: float) ->
         assert np.max(abs(logs[0] - logs[1])) <= 1.0
 
 
+@pytest.mark.slow
 def test_what_rounding_of_units_decides_is_not_proven() -> None:
     """Of transports, ties that follow from others are independent of them where units are no powers of two.
 

@@ -153,6 +153,7 @@ def test_nodes_that_pull_are_told(tmp_path: pathlib.Path) -> None:
     assert any("4 nodes pull with 4 in all" in one for one in found.pairs[0].causes)
 
 
+@pytest.mark.slow
 def test_other_loads_are_out_of_balance_and_cut_numbers_are_named(tmp_path: pathlib.Path) -> None:
     free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*CLOAD\nTOP, 3, -2.50000000000000e-01\n")
     deck = write(tmp_path, free)

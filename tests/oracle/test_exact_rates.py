@@ -61,7 +61,7 @@ def test_what_may_share_later_keeps_touching() -> None:
         assert doubles.reach == pytest.approx([float(step) for step in found.reach])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("family_name", "seed"), [("linear_programs", 1), ("shared_with_ties", 5)])
 def test_events_of_redundant_contacts_are_those_of_exact_answers(family_name: str, seed: int) -> None:
     """Goods carried by four ways, whose many multipliers a few take; a body moves far, and a gap keeps its width."""

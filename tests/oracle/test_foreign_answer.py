@@ -165,6 +165,7 @@ def test_a_long_table_is_cut() -> None:
     assert judged.table(limit=4).splitlines()[-1].startswith("and ")
 
 
+@pytest.mark.slow
 def test_an_answer_to_a_problem_without_one_has_no_right_values() -> None:
     driven = cq.ContactProblem(stiffness=[[0.0]], load=[-1.0], normal=[[1.0]], gap=[1.0])
     judged = cq.certify(driven, [0.0], [0.0])
@@ -220,6 +221,7 @@ def test_the_tolerance_that_would_pass_is_named_and_does() -> None:
     assert not cq.certify(problem, **rounded, tolerance=1e-8).passed
 
 
+@pytest.mark.slow
 def test_the_tolerance_is_named_where_forces_are_recovered_by_it() -> None:
     """Rows touch, or do not, by the tolerance, and at 1e-9 the recovered forces are far off."""
     rows = np.array([[-0.5, 0.2, -1.0, -0.2], [-1.0, 0, 0, 0], [1.0, 0, 0, 0], [0, 0, 0, -1.0], [0.9, 0.1, -0.7, -0.9]])

@@ -72,6 +72,7 @@ def test_json_of_an_enclosure_holds_the_number_as_it_is_printed(capsys: pytest.C
     assert data["contacts"][0]["force_range"] is None
 
 
+@pytest.mark.slow
 def test_ties_have_their_names_and_ranges_their_ends(capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = run(capsys, "oracle", CASES / "tie_symmetry.toml", "--json")
     assert {tie["name"]: tie["tie_force"]["exact"] for tie in json.loads(out)["ties"]} == {

@@ -16,7 +16,6 @@ from contactqp.testing import problem as gallery
 
 
 @pytest.mark.slow
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["large-1", "large-5"])
 def test_membranes_that_graze_are_decided_in_fractions(name: str) -> None:
     known = gallery(name)
@@ -87,6 +86,7 @@ def test_a_pull_and_an_overlap_that_balance_are_refused() -> None:
     assert not solves(pushed_from_afar, replace(answer, displacement=back, normal_force=Column(one.integers * 3, 1)))
 
 
+@pytest.mark.slow
 def test_forces_that_are_not_the_only_ones_are_not_called_so() -> None:
     """One stop of a grazing membrane twice: proven fractions, but there are others beside them."""
     known = gallery("large-1").problem

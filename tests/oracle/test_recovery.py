@@ -41,7 +41,7 @@ def test_displacements_alone_or_forces_alone_of_a_right_answer_pass(name: str, s
             assert any("recovered" in note for note in judged.notes)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 57])
 def test_of_dependent_contacts_and_ties_those_act_that_the_displacement_closes(seed: int) -> None:
     """Forces are 1e7 times what they strain: pushed across the rounding of a gap they would do 1e-12 of the energy."""
@@ -151,6 +151,7 @@ def test_no_forces_put_a_floating_body_out_of_its_obstacle() -> None:
     assert judged.answer.displacement == pytest.approx([-0.5, -0.375, 0.0])
 
 
+@pytest.mark.slow
 def test_friction_missing_of_a_node_that_touches_twice_is_shared_within_the_law() -> None:
     """A node that sticks at two rows: half of the friction of 2.4 at each exceeds what the first can hold."""
     problem = cq.ContactProblem(
@@ -222,7 +223,7 @@ def test_values_that_are_not_finite_recover_nothing_and_fail() -> None:
     assert judged.failures == ("displacement: nan at unknown 0",)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [0.0, 4.0])
 @pytest.mark.parametrize("friction", [None, 0.5])
 def test_rows_that_constrain_nothing_have_no_force(stiffness: float, friction: float | None) -> None:
@@ -250,6 +251,7 @@ def printed(values: np.ndarray, digits: int = 7) -> np.ndarray:
     return np.array([float(f"{value:.{digits - 1}e}") for value in values.ravel()]).reshape(values.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "seeds"),
     [(1e2, range(2)), *(pytest.param(one, range(2, 12), marks=pytest.mark.slow) for one in (0.3, 1e2, 1e4))],
@@ -341,6 +343,7 @@ def test_a_force_that_least_squares_leave_of_none_is_none() -> None:
     assert judged.answer.normal_force == pytest.approx([0.0, 2.0], abs=1e-14)
 
 
+@pytest.mark.slow
 def test_forces_alone_put_a_body_where_contacts_without_force_leave_one_place() -> None:
     """Three contacts and the tie meet in one point of the motions that the pushing contact leaves."""
     problem = cq.ContactProblem(

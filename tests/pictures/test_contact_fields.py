@@ -256,6 +256,7 @@ def test_a_deck_is_drawn_on_its_springs_and_as_a_mortar(tmp_path):
         assert np.nanmin(pairing.gap) == pytest.approx(-np.max(solution.displacement[len(deck.free) :], initial=0.0))
 
 
+@pytest.mark.slow
 def test_a_deck_without_contact_has_bodies_all_the_same(tmp_path):
     text = STACK[: STACK.index("*SURFACE INTERACTION")] + "*BOUNDARY\n" + STACK.partition("*BOUNDARY\n")[2]
     deck = cq.read_deck(write(tmp_path, text))

@@ -130,6 +130,7 @@ def test_expectations_of_large_deformations_say_how_exact_they_are(name):
             assert "second order" in claim.derivation or "millionth" in claim.derivation, claim.derivation
 
 
+@pytest.mark.slow
 def test_the_motions_of_what_is_free_are_named():
     from contactqp.scene.body_answers import motions_in_words
 

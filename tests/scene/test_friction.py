@@ -232,6 +232,7 @@ def test_along_a_path_with_friction():
     assert not any(row.ok for row in judged(PUSHED, *wrong))
 
 
+@pytest.mark.slow
 def test_with_friction_nothing_off_the_path_is_solved_for():
     """At time 2.2 the push is 4 N again. A solve from rest would give the 10 mm of the way out; it stands at 20 mm."""
     for path in (PUSHED["path"], {"steps": 4, "corners": PUSHED["path"]["corners"]}):

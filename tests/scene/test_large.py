@@ -134,6 +134,7 @@ def test_every_claim_is_of_one_of_the_paths():
     assert all(of in (BY_NODE, FLOOR | BY_ARC, FLOOR | BY_LOAD) for of, *_ in RIGHT)
 
 
+@pytest.mark.slow
 def test_laws_of_the_bars_are_their_own():
     """An upright bar of each law, stretched by the same end: N = E A (L/L0) eps, E A e, E A h L0/L."""
     laws = {"green": 1.5 * (1.5**2 - 1) / 2, "engineering": 0.5, "logarithmic": np.log(1.5) / 1.5}

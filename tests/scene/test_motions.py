@@ -203,7 +203,7 @@ def test_a_start_is_linear_along_a_bar():
     )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", ["consistent", "lumped"])
 def test_a_block_falls_without_strain_and_its_side_closes_and_opens_once(mass):
     data = BLOCK | {"motion": BLOCK["motion"] | {"mass": mass}}

@@ -57,6 +57,7 @@ def test_a_misspelled_file_is_answered_with_the_nearest_beside_it(tmp_path: Path
         assert f"there is none of that name; nearest: {tmp_path / 'my_beam.toml'}" in " ".join(err.split())
 
 
+@pytest.mark.slow
 def test_a_verb_finds_the_cases_in_which_it_stands_otherwise() -> None:
     assert {case.name for case in shipped_cases(("bouncing", "mass"))} >= {"mass_bounces", "bar_bounces"}
     assert shipped_cases(("strings",)) == shipped_cases(("string",))

@@ -69,6 +69,7 @@ def test_the_path_goes_from_corner_to_corner():
     assert history.normal_forces[4, 0] == pytest.approx(9)
 
 
+@pytest.mark.slow
 def test_answers_at_a_time():
     right = [
         claim("normal force", "9 N", at="foot", time=1),

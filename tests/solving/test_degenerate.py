@@ -252,7 +252,7 @@ def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None
     assert len(found.free_motions) == 1
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [(1.0, 1.0), (2.0**23, 2.0**-7), (2.0**-30, 2.0**30)])
 @pytest.mark.parametrize("method", ["active-set", "lemke", "lagrange-multiplier", "clarabel"])
 def test_nothing_but_gaps_moves_what_has_no_stiffness_whatever_the_units_of_rows(
@@ -358,6 +358,7 @@ def count_calls(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str) 
     return calls
 
 
+@pytest.mark.slow
 def test_rows_that_meet_at_rest_are_not_exchanged_for_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     """Opposite rows of gap 0 allow u = 0 alone; gaps of 1e-33 beside lengths of 1e-33 cost one system each."""
     rng = np.random.default_rng(30)

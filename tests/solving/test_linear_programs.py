@@ -175,7 +175,7 @@ def test_small_costs_of_a_motion_without_end_are_told_beside_large_ones(cost: fl
     assert cq.solve(program.replace(load=-balanced * units)).certificate.passed
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_imposed_lengths_are_those_that_the_load_moves(seed: int) -> None:
     """Circulations within 1e5: in lengths of 1e-6 their few stiff arcs yielded as if they had no stiffness."""

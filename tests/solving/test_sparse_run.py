@@ -162,6 +162,7 @@ def test_a_tie_that_holds_an_unknown_is_eliminated_too() -> None:
     assert held @ left == pytest.approx(found.tie_force, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_polish_and_certificate_share_a_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
     saddle = sparse_saddle.SparseSaddle
@@ -175,6 +176,7 @@ def test_polish_and_certificate_share_a_factorisation(monkeypatch: pytest.Monkey
     assert len(made) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
 def test_a_strip_is_analysed_once_and_multiplied_exactly_only_where_digits_are_missing(
     monkeypatch: pytest.MonkeyPatch,

@@ -282,6 +282,7 @@ def test_a_reference_that_the_proven_solution_contradicts_is_said_first() -> Non
     assert str(cq.compare(two_bars(), methods=["active-set"], reference=EXACT)).endswith("errors against: reference")
 
 
+@pytest.mark.slow
 def test_the_error_in_u_of_a_linear_program_is_that_of_the_largest_unknown() -> None:
     """K vanishes, and with it any energy norm. The exact vertex is (8/5, 6/5); a penalty moves both rows by l / 8."""
     program = cq.ContactProblem.from_qp(

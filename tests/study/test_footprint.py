@@ -133,6 +133,7 @@ def test_what_is_optional_in_the_extras_is_known_here():
         assert {modules.get(name, name) for name in names} <= named
 
 
+@pytest.mark.slow
 def test_contacts_that_are_dropped_are_counted_and_checked(monkeypatch):
     monkeypatch.setattr("contactqp.linalg.iteration.MANY", 40)  # contact unknowns; 3000 otherwise
     monkeypatch.setattr("contactqp.certificate.subset_bounds.FIRST", 20)

@@ -382,6 +382,7 @@ def test_names_that_the_problem_does_not_have_take_no_time(tmp_path):
     assert any("20000 names that the problem does not have" in line for line in found.ledger.ignored)
 
 
+@pytest.mark.slow
 def test_run_calls_the_units_of_matrices_and_decks_by_their_names(capsys, folder):
     Path(folder.parent / "deck.inp").write_text(STACK)
     for problem, of_a_gap in (("p", "gap [mm]"), ("deck.inp", "gap [mm]")):

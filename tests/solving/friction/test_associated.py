@@ -58,6 +58,7 @@ def test_the_difference_is_reported() -> None:
     assert "opens contacts that slide by up to 3.59e-05" in str(found)
 
 
+@pytest.mark.slow
 def test_they_agree_where_nothing_slides() -> None:
     for problem in (rough_truss(0.8), pad(3564.0)):
         found = cq.associated_difference(problem)

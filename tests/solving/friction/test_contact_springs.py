@@ -121,7 +121,7 @@ CORNERS = [
 ]
 
 
-@pytest.mark.sampled(9)
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 4, 7])
 @pytest.mark.parametrize("way", ["penalty", "perturbed-lagrangian", "contact springs"])
 def test_two_masses_loaded_and_unloaded(way: str, steps: int) -> None:

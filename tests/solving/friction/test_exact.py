@@ -229,7 +229,7 @@ def test_forces_whose_squares_are_no_doubles(factor: float) -> None:
     np.testing.assert_allclose(other.friction_force, one.friction_force * factor, rtol=1e-14)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.3, 5.0])
 @pytest.mark.parametrize("pull", [0.0, 0.5, 0.99])
 def test_what_does_not_move_at_all_on_an_oblique_plane(pull: float, friction: float) -> None:

@@ -42,7 +42,7 @@ def test_the_natural_map_of_a_contact_without_friction() -> None:
     assert np.array_equal(natural_map(force, -gap, np.zeros(1)), -gap)  # penetration is still one
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 5, 8])
 def test_what_only_rigid_motions_move_has_no_compliance(seed: int) -> None:
     # The stiffness has rank two and the contacts touch two unknowns that its null space moves freely: their Delassus

@@ -154,6 +154,7 @@ def test_an_equilibrium_with_another_law_of_friction_is_refused() -> None:
     assert judged.equilibrium <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", [160, pytest.param(320, marks=pytest.mark.slow)])
 def test_a_start_is_the_combination_of_the_load_before(cells: int) -> None:
     problem = pushed(2, cells)

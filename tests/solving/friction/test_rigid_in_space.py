@@ -122,6 +122,7 @@ def test_a_body_without_loads_that_only_touches_passes_wherever_it_is() -> None:
     assert not cq.certify(problem, u + 1e-6 * normal[0], [0.0], [0.0, 0.0]).passed
 
 
+@pytest.mark.slow
 def test_an_iterate_that_satisfies_the_law_is_the_answer_where_no_combination_can_be_refined() -> None:
     """Two nodes on springs; three contacts of the first depend on each other, and two of these only graze."""
     B = np.array(

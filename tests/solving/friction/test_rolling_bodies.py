@@ -34,7 +34,7 @@ def three_logs(between: float, on_ground: float, tilt: float = 0.0, away: float 
     return cq.ContactProblem(np.zeros((9, 9)), load, normal, np.zeros(4), tangent=tangent, friction=friction)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt", "away"), [(1.0, 1e4), (0.0, 0.0), (0.3, 10.0)])
 def test_three_logs_need_the_friction_of_statics(tilt: float, away: float) -> None:
     """Of each lower log three forces meet at its foot: tan 15 degrees between logs, a third of it on the ground."""

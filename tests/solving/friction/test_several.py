@@ -244,6 +244,7 @@ def _drawn(seed: int) -> cq.ContactProblem:
     return cq.ContactProblem(K, rng.integers(-3, 4, n).astype(float), N, gap, tangent=T, friction=friction)
 
 
+@pytest.mark.slow
 def test_combinations_that_are_dropped_early_are_those_whose_signs_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     """Singular values and linear programs of all find the same; most of them are not needed."""
     seeds = range(16)

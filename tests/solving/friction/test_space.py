@@ -260,6 +260,7 @@ def test_an_open_contact_without_friction_and_slip_satisfies_the_law() -> None:
         assert np.max(abs(natural_map(-open_, none, np.array([friction])))) == 1.0
 
 
+@pytest.mark.slow
 def test_motions_that_no_contact_resists_are_no_joints_of_the_local_form() -> None:
     """Two points and a bar; one contact holds one of them, and its forces follow from balance: (20; 20, 0).
 
@@ -322,6 +323,7 @@ def test_a_node_on_an_edge_is_held_at_its_bound(algorithm: str | None) -> None:
     assert solution.friction_force == pytest.approx(np.array([[0.75, 0.0], [0.75, 0.0]]), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_what_refinement_leaves_of_a_force_is_no_imbalance_of_a_motion() -> None:
     """One force acts on the first unknown, and it is zero: of it 1e-30 was left, an imbalance of all that acts there.
 

@@ -431,7 +431,7 @@ def test_a_block_near_its_limit_has_several_answers_only_at_the_limit(short: flo
     assert ("one of a continuum" in repr(exact)) == (short == 0)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 0, 3])
 def test_answers_that_rounding_hides_are_not_solved_one_by_one(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With conditions of 1e12 the signs of hundreds of combinations may hold: in rational numbers these took 50 s."""
