@@ -200,25 +200,22 @@ def test_only_errors_of_this_package_leave_whatever_is_thrown(
     throw_at(name, calls[name], named(calls[name]), thrown, 1)
 
 
-OPTIONS = wild_calls.options()
-
-
 @pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize("name", wild_calls.COLLECTING)
 def test_only_errors_of_this_package_leave_whatever_an_option_is(
     name: str, thrown: dict[str, Any], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    throw_at(name, *OPTIONS[name], thrown, THIN_OPTIONS)
+    throw_at(name, *wild_calls.options()[name], thrown, THIN_OPTIONS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize("name", wild_calls.COLLECTING)
 def test_only_errors_of_this_package_leave_whatever_any_option_is(
     name: str, thrown: dict[str, Any], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    throw_at(name, *OPTIONS[name], thrown, 1)
+    throw_at(name, *wild_calls.options()[name], thrown, 1)
 
 
 def test_every_function_that_collects_options_is_given_some(calls: dict[str, wild_calls.Call]) -> None:
@@ -228,7 +225,8 @@ def test_every_function_that_collects_options_is_given_some(calls: dict[str, wil
         for name, call in calls.items()
         if any(one.kind is Parameter.VAR_KEYWORD for one in signature(call.function).parameters.values())
     }
-    assert collecting - {name.partition(":")[0] for name in OPTIONS} == set()
+    assert tuple(wild_calls.options()) == wild_calls.COLLECTING
+    assert collecting - {name.partition(":")[0] for name in wild_calls.COLLECTING} == set()
 
 
 def named(call: wild_calls.Call) -> list[str]:

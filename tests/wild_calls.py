@@ -10,6 +10,7 @@ import pathlib
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import contactqp as cq
 from contactqp import testing
 from tests import public_objects as given
 
+ALGORITHMS = ("tresca", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")
 CARRIED = "carries what it is given"
 ANSWER = "an answer: functions of this package make it"
 # What no user calls, and why.
@@ -299,6 +301,17 @@ def calls(folder: pathlib.Path) -> dict[str, Call]:
     return {name: Call(*one) for name, one in table.items()}
 
 
+# Their names are known to what collects tests, which need not make the objects of the calls.
+COLLECTING = (
+    *(f"solve: {method}" for method in ("penalty", "perturbed-lagrangian", "augmented-lagrangian", "cvxpy")),
+    *(f"solve: {algorithm}" for algorithm in ALGORITHMS),
+    "solve: cones", "solve: local", "ContactProblem.from_qp", "ContactProblem.replace", "History.plot",
+    "MotionHistory.plot", "Solutions.plot", "Solution.plot", "compare", "exact", "exact_equilibria", "follow_path",
+    "impact", "large_deformation", "run", "solve_many", "ConstrainedEnergy.solve", "associated_difference",
+)  # fmt: skip
+
+
+@cache
 def options() -> dict[str, tuple[Call, list[str]]]:
     """Calls of functions that collect options, by function and what is special, each with names of options."""
     problem, rubbing, local, _, _ = given.objects()["problems"]
@@ -320,7 +333,7 @@ def options() -> dict[str, tuple[Call, list[str]]]:
                ("augmented-lagrangian", {}, ["penalty", "tangential_penalty", "update"]),
                ("cvxpy", {}, ["solver"]))},
         **{f"solve: {algorithm}": (cq.solve, dict(problem=rubbing, algorithm=algorithm), ["max_iter", "condense"])
-           for algorithm in ("tresca", "newton", "nsgs", "ppa", "admm", "enumeration", "associated")},
+           for algorithm in ALGORITHMS},
         "solve: cones": (cq.solve, dict(problem=space, method="osqp", algorithm="aclm"), ["facets", "polygon"]),
         "solve: local": (cq.solve, dict(problem=local), ["warm_start", "condense", "time_limit"]),
         "ContactProblem.from_qp": (cq.ContactProblem.from_qp, program, ["C", "l", "u", "range_names"]),
