@@ -16,7 +16,6 @@ from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.interior_point import MET_TOGETHER, without_conflict
 from contactqp.linalg.least_norm import by_corrections, by_dual_steps
-from contactqp.linalg.nonnegative import StrictProgram
 from contactqp.linalg.schur import RankedSaddle
 from contactqp.linalg.sparse_saddle import ClosedState, Effort, nearest_state, solved_on
 from contactqp.model.solution import Answer, Candidate
@@ -419,47 +418,6 @@ def test_a_tie_that_is_not_met_passes_in_no_units(decades: float) -> None:
     except cq.NotCertified:
         return
     assert energy == pytest.approx(5785204.45, rel=1e-8)
-
-
-def strict(seed: int) -> tuple[StrictProgram, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A strictly convex program of integers with tied rows, of which one is a sum, and rows that repeat."""
-    random = np.random.default_rng(seed)
-    n = int(random.integers(3, 9))
-    root, f = random.integers(-3, 4, (n, n)), random.integers(-9, 10, n).astype(float)
-    rows = random.integers(-3, 4, (3 * n, n)).astype(float)
-    rows[-1], rows[1] = 2.0 * rows[-2], np.eye(n)[0]
-    rows = np.vstack([rows[:2], rows[0] + rows[1], rows[2:]])
-    limit, tied = rows @ random.integers(-2, 3, n) + 0.0, np.arange(len(rows)) < 3
-    limit += np.where(tied, 0.0, random.integers(0, 3, len(rows)))
-    H = root @ root.T + np.eye(n)
-    return StrictProgram(H, f, rows, limit, tied), H, f, rows, limit, tied
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_dual_active_set_in_factors_ends_at_the_minimum(seed: int) -> None:
-    """Forces balance, push, and act on rows that are met; whatever rows it starts with, the point is the same."""
-    program, H, f, rows, limit, tied = strict(seed)
-    x = program.solve(np.zeros(0, dtype=int), 1e-12, iter(range(1000)))
-    assert program.ended
-    assert not program.conflicting
-    assert np.all(rows @ x <= limit + 1e-10 * abs(rows) @ abs(x) + 1e-10)
-    assert rows[tied] @ x == pytest.approx(limit[tied], abs=1e-10)
-    assert rows[program.active] @ x == pytest.approx(limit[program.active], abs=1e-9)
-    assert rows[program.active].T @ program.force == pytest.approx(f - H @ x, abs=1e-9)
-    assert np.all(program.force[~tied[program.active]] >= -1e-12)
-    begun = strict(seed)[0]
-    start = np.flatnonzero(~tied)[::2]
-    assert begun.solve(start, 1e-12, iter(range(1000))) == pytest.approx(x, abs=1e-9)
-
-
-def test_rows_that_contradict_each_other_are_named() -> None:
-    """x <= 1 and -x <= -2 cannot both be met: the second is left as it is, and y goes to its minimum."""
-    rows, limit = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([1.0, -2.0])
-    program = StrictProgram(np.eye(2), np.array([5.0, 3.0]), rows, limit, np.zeros(2, dtype=bool))
-    x = program.solve(np.zeros(0, dtype=int), 1e-12, iter(range(100)))
-    assert program.ended
-    assert program.conflicting == {1}
-    assert x == pytest.approx([1.0, 3.0])
 
 
 @pytest.mark.slow
