@@ -164,7 +164,7 @@ def large_deformation(
         raise InvalidProblem(f"tolerance: expected a number between 0 and 1, got {shown(tolerance)}")
     method = registered_name(method)
     exact = find(method).exact
-    if loaded.friction is not None and not exact:
+    if loaded.frictional and not exact:
         raise Unsupported(
             f"large_deformation: friction with {method!r}, which is approximate: expected an exact method"
         )
@@ -174,8 +174,8 @@ def large_deformation(
         raise InvalidProblem(f"{name}: {control!r} control has none, got {given[name]!r}")
     if control == "load":
         return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
-    if method != "active-set" or loaded.friction is not None:
-        what = "with friction" if loaded.friction is not None else f"with {method!r}"
+    if method != "active-set" or loaded.frictional:
+        what = "with friction" if loaded.frictional else f"with {method!r}"
         raise Unsupported(f"large_deformation: control={control!r} {what}: it goes through unstable equilibria")
     if program.end != 1:
         raise InvalidProblem(f"loads: control={control!r} takes one load, got {program.end}")

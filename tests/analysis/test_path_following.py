@@ -211,6 +211,18 @@ def test_bad_arguments_are_refused(change, error, message):
         cq.large_deformation(arch(), **(dict(loads=DOWN, contact=floor) | BY_NODE | change))
 
 
+@pytest.mark.parametrize("how", [BY_NODE, BY_ARC], ids=["displacement", "arc length"])
+def test_coefficients_of_zero_are_no_friction_on_a_path_through_limits(how):
+    floor = node_over(cq.Plane([0.0, -0.1], [0.0, 1.0]))
+    how = how | (dict(target=-0.3, steps=10) if how is BY_NODE else {})
+    smooth, zero = (cq.large_deformation(arch(), DOWN, floor, friction=mu, **how) for mu in (None, 0.0))
+    np.testing.assert_array_equal(zero.displacements, smooth.displacements)
+    assert zero.limit_points[0].load_factor == smooth.limit_points[0].load_factor
+    assert zero[-1].friction_force.tolist() == zero[-1].slip.tolist() == [[0.0]]
+    np.testing.assert_array_equal(zero.normal_forces, smooth.normal_forces)
+    assert zero[-1].certificate.passed
+
+
 def conditions(body, contact, load, solution):
     """The largest violation: balance over the largest load, overlap, tension, force without contact."""
     u, force = solution.displacement, solution.normal_force

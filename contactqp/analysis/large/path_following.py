@@ -276,9 +276,10 @@ class PathFollower:
             raise ValueError("a point that was not finished")
         arriving = leaving if arriving is None else arriving
         path, start = self.path, self.solutions[-1]
-        solution = large_solution(
-            path.loaded, point.balance, path.target(point.load_factor), point.load_factor, path.settings
-        )
+        target = path.target(point.load_factor)
+        if path.loaded.friction is not None:  # coefficients of zero: slips without forces
+            target = replace(target, anchor=start.position)
+        solution = large_solution(path.loaded, point.balance, target, point.load_factor, path.settings)
         solution = replace(solution, load_rate=leaving.load_factor, load_scale=path.scale)
         turns = self._direction.load_factor * arriving.load_factor < 0
         if turns:
