@@ -108,7 +108,8 @@ def large_deformation(
         The start and every step; with arc length and displacement control every contact event too, and `limit_points`,
         where the load is greatest or least, to rounding. `times` are load factors, `iterations` what each iteration
         left. `notes` say where the path snaps through (the displacement jumps: to the next equilibrium down the energy;
-        not looked for with friction), where equilibria are unstable, and where others branch off.
+        with friction between two steps, whose number then decides where contacts land and slip), where several contacts
+        with friction land within one step, where equilibria are unstable, and where others branch off.
 
     Raises
     ------

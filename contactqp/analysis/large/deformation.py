@@ -99,7 +99,12 @@ class LoadedBody:
     @property
     def frictional(self) -> bool:
         """Return whether any contact has a positive coefficient of friction."""
-        return self.friction is not None and bool(np.any(self.friction > 0))
+        return bool(np.any(self.rough))
+
+    @property
+    def rough(self) -> Mask:
+        """Return which contacts have a positive coefficient of friction, (m,)."""
+        return np.zeros(self.contacts, dtype=bool) if self.friction is None else self.friction > 0
 
     @cached_property
     def unknown_names(self) -> tuple[str, ...] | None:

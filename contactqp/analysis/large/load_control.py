@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,26 @@ class Program:
         return Target(load, tie_value, None, *largest)
 
 
+@dataclass(eq=False)
+class Remarks:
+    """The notes and jumps of a path, and the steps within which several contacts land."""
+
+    notes: list[str] = field(default_factory=list)
+    snaps: list[Snap] = field(default_factory=list)
+    landings: list[float] = field(default_factory=list)  # load factors of the ends of the steps
+
+    def history(self, solutions: list[LargeSolution]) -> LargeHistory:
+        """Return the history of these solutions with the remarks."""
+        notes = list(self.notes)
+        if self.landings:
+            others = f" and in {len(self.landings) - 1} more" if self.landings[1:] else ""
+            notes.append(
+                f"in the step to load factor {self.landings[0]:.6g}{others} several contacts with friction land, each "
+                "as if the others did not: their friction may depend on the number of steps"
+            )
+        return LargeHistory(solutions, notes, snaps=self.snaps)
+
+
 @dataclass(frozen=True, eq=False)
 class LoadControl:
     """A body, its program and the settings of Newton's method."""
@@ -83,18 +104,16 @@ class LoadControl:
         Raises NotConverged, NotCertified: with the history so far.
         """
         solutions: list[LargeSolution] = []
-        notes: list[str] = []
-        snaps: list[Snap] = []
-        t = times[0]
+        remarks, t = Remarks(), times[0]
         try:
             if isinstance(start, LargeSolution):
                 solutions.append(start)
             else:
                 solutions.append(self.first(start, t))
             for t in times[1:]:
-                solutions += self._to(solutions[-1], t, notes, snaps)
+                solutions += self._to(solutions[-1], t, remarks)
         except NotConverged as error:
-            so_far = LargeHistory(solutions, notes, snaps=snaps)
+            so_far = remarks.history(solutions)
             last = solutions[-1] if solutions else None
             words = "" if last is None else _cure()
             raise NotConverged(f"large_deformation: at load factor {t:.6g}: {error}{words}", so_far, last) from error
@@ -102,7 +121,7 @@ class LoadControl:
             raise NotCertified(f"large_deformation: at load factor {t:.6g}: {error}", error.solution) from error
         except Unsupported as error:
             raise Unsupported(f"large_deformation: at load factor {t:.6g}: {error}") from error
-        return LargeHistory(solutions, notes, snaps=snaps)
+        return remarks.history(solutions)
 
     def first(self, displacement: Vector, t: float = 0.0) -> LargeSolution:
         """Return the equilibrium from which the steps start, near a displacement."""
@@ -115,54 +134,71 @@ class LoadControl:
         return large_solution(self.loaded, balance, anchored, t, self.settings)
 
     def _to(
-        self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap], halvings: int = MOST_HALVINGS
+        self, before: LargeSolution, t: float, remarks: Remarks, halvings: int = MOST_HALVINGS
     ) -> list[LargeSolution]:
         """Return the equilibria up to a load factor, in one step, or in halves if it does not converge."""
         try:
-            return [self._next(before, t, notes, snaps)]
+            return [self._next(before, t, remarks)]
         except NotConverged as error:
             if not halvings:
                 raise
             whole = error
         try:
-            first = self._to(before, (before.load_factor + t) / 2, notes, snaps, halvings - 1)
-            return first + self._to(first[-1], t, notes, snaps, halvings - 1)
+            first = self._to(before, (before.load_factor + t) / 2, remarks, halvings - 1)
+            return first + self._to(first[-1], t, remarks, halvings - 1)
         except NotConverged:
             raise whole from None
 
-    def _next(self, before: LargeSolution, t: float, notes: list[str], snaps: list[Snap]) -> LargeSolution:
+    def _next(self, before: LargeSolution, t: float, remarks: Remarks) -> LargeSolution:
         target = self.program.at(t)
         if self.loaded.frictional and before.position is not None:
-            touching = (before.normal_force > 0) | (before.gap <= 0)
-            balance, anchor = balance_with_anchors(
-                self.loaded,
-                before.position,
-                before.gap,
-                touching,
-                lambda loaded, anchor, part: find_balance(
-                    loaded,
-                    before.displacement,
-                    forces_of(before),
-                    replace(self._within(before.load_factor, t, part), anchor=anchor),
-                    self.settings,
-                ),
-            )
+            touching, at = (before.normal_force > 0) | (before.gap <= 0), before.position
+            solve_with = partial(self._sliding, before, t)
+            balance, anchor = balance_with_anchors(self.loaded, at, before.gap, touching, solve_with)
             target = replace(target, anchor=anchor)
+            remarks.landings += [t] * bool(np.sum((balance.forces.normal > 0) & ~touching & self.loaded.rough) > 1)
         else:
             balance = find_balance(self.loaded, before.displacement, forces_of(before), target, self.settings)
             if self.loaded.friction is not None:
                 target = replace(target, anchor=before.position)
-        if not self.loaded.frictional and (balance.shifted or self._crosses_barrier(before, balance)):
-            snap = None if self._is_slack(before) else self._jump(before, balance, t)
-            if snap is not None:
-                snaps.append(snap)
-                notes.append(snap.note)
+        if balance.shifted or self._crosses_barrier(before, balance):
+            self._tell_of_jump(before, balance, t, remarks)
         solution = large_solution(self.loaded, balance, target, t, self.settings)
         if solution.negative and not before.negative:
-            notes.append(
+            remarks.notes.append(
                 f"from load factor {t:.6g} the equilibrium is unstable: {solution.negative} motion(s) lower the energy"
             )
         return solution
+
+    def _sliding(self, before: LargeSolution, t: float, loaded: LoadedBody, anchor: Array, part: float) -> Balance:
+        """Return the balance with friction at a part of the step to a load factor.
+
+        Only without friction the energy leads through a jump. Where a body jumps that touched nothing, the start is
+        where it comes to rest without friction.
+        """
+        target, forces = self._within(before.load_factor, t, part), forces_of(before)
+        anchored = replace(target, anchor=anchor)
+        try:
+            return find_balance(loaded, before.displacement, forces, anchored, self.settings)
+        except NotConverged:
+            if np.any(before.normal_force > 0):
+                raise
+        smooth = LoadedBody(loaded.body, loaded.contact, loaded.tie)
+        rest = find_balance(smooth, before.displacement, Forces(forces.normal, forces.tie), target, self.settings)
+        still = replace(rest.forces, friction=np.zeros_like(forces.friction))
+        return find_balance(loaded, rest.now.displacement, still, anchored, self.settings)
+
+    def _tell_of_jump(self, before: LargeSolution, balance: Balance, t: float, remarks: Remarks) -> None:
+        """Add the jump of a step to the remarks; with friction it is not located."""
+        if self._is_slack(before):
+            return
+        if self.loaded.frictional:
+            remarks.notes.append(
+                f"between the load factors {before.load_factor:.6g} and {t:.6g} the body snaps, with friction: where "
+                "its contacts land and slip in between depends on the number of steps"
+            )
+        elif (snap := self._jump(before, balance, t)) is not None:
+            remarks.snaps, remarks.notes = [*remarks.snaps, snap], [*remarks.notes, snap.note]
 
     def _within(self, start: float, end: float, part: float) -> Target:
         """Return load and tie value at a part of a step, whose end is exact."""
@@ -170,18 +206,22 @@ class LoadControl:
 
     def _crosses_barrier(self, before: LargeSolution, balance: Balance) -> bool:
         """Return whether an energy barrier lies between two equilibria: a motion of negative energy, at a point
-        between, that satisfies ties and the contacts with force at both ends.
+        between, that satisfies ties and the contacts with force at both ends, where friction holds them too.
         """
         start, motion = before.displacement, balance.now.displacement - before.displacement
         if before.negative or not np.any(motion):
             return False
         both = np.flatnonzero((before.normal_force > 0) & (balance.forces.normal > 0))
-        rows = sp.vstack([balance.now.contact.normal[both], self.loaded.tie], format="csr")
+        contact, rows = balance.now.contact, [balance.now.contact.normal[both], self.loaded.tie]
+        if self.loaded.frictional and contact.tangent is not None:  # friction may hold all that push
+            width = contact.tangent.shape[0] // self.loaded.contacts
+            rows.append(contact.tangent[(width * both[:, None] + np.arange(width)).ravel()])
+        held = sp.vstack(rows, format="csr")
         for part in BETWEEN:
             u = start + part * motion
             if np.isfinite(self.loaded.body.energy(u)):
                 K = sp.csc_array(self.loaded.body.tangent(u))
-                if not positive_semidefinite(K) and negative_on(K, rows):
+                if not positive_semidefinite(K) and negative_on(K, held):
                     return True
         return False
 
@@ -224,10 +264,9 @@ class LoadControl:
 
 def _cure() -> str:
     """Return what may help where a step and its halves do not converge; nothing where the time limit ended it."""
-    if time_is_up():
-        return ""
     parts = f"parts of the step down to 1/{2**MOST_HALVINGS}"
-    return f"; nor do {parts} converge: take more steps, unless nothing balances that load"
+    words = f"; nor do {parts} converge: take more steps, unless nothing balances that load"
+    return "" if time_is_up() else words
 
 
 def forces_of(solution: LargeSolution) -> Forces:
