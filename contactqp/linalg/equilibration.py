@@ -419,6 +419,8 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     twin = problem.transformed(
         stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length
     )
+    if (known := problem._computed.condensation) is not None:
+        twin._computed.rigid_motions = known.rigid.motions / D[:, None]
     return twin, Scaling(D, contacts, ties, length, length)
 
 

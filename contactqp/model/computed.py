@@ -56,6 +56,7 @@ class Computed:
     near_one: Any = None  # certificate.number_range: K and the rows in other units if needed
     unknown_scale: Vector | None = None  # linalg.condensation, where it is that of a condensed problem
     condensation: Any = None  # linalg.condensation
+    rigid_motions: Array | None = None  # linalg.equilibration: (n, r), known before the problem was scaled
     wider_condensation: Any = None  # linalg.condensation: one of more contacts, to be reduced
     dependent_ties: Any = None  # certificate.idle_rows
     constraints_are_many: dict[bool, bool] = field(default_factory=dict)  # linalg.iteration: with friction, without

@@ -39,6 +39,8 @@ RESISTED = 1e-10
 # The load on a unit motion that nothing resists, relative to all loads, up to which it counts as balanced. (It is not
 # relative to the load on moving unknowns, as those at rest have displacements of rounding size.)
 BALANCED = 1e-9
+# The energy of a unit motion, by a stiffness of unit diagonal, from which it is that of a spring and no rounding.
+SPRUNG = 1e-3
 
 Dense = Array
 
@@ -86,8 +88,17 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
 
 
 def _rigid_motions(problem: ContactProblem) -> Dense:
-    """Return an orthonormal basis (n, r) of the motions with K Z = 0 and A Z = 0."""
-    return _split(problem.tie, np.linalg.qr(null_space(problem.stiffness).motions)[0])[1]
+    """Return an orthonormal basis (n, r) of the motions with K Z = 0 and A Z = 0.
+
+    Those that are known of the body are taken: condensed to few unknowns its stiffness may hide them beneath rounding.
+    Springs hold those of them that nothing resists.
+    """
+    known = problem._computed.rigid_motions
+    motions = np.linalg.qr(null_space(problem.stiffness).motions if known is None else known)[0]
+    if known is not None and motions.shape[1]:
+        energies, directions = np.linalg.eigh(motions.T @ (problem.stiffness @ motions))
+        motions = motions @ directions[:, energies < SPRUNG]
+    return _split(problem.tie, motions)[1]
 
 
 def _split(rows: Any, motions: Dense) -> tuple[Dense, Dense]:

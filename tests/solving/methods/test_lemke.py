@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import contactqp as cq
 from contactqp.errors import NotConverged
 from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods import find
@@ -128,3 +129,20 @@ def test_lemke_solves_every_solvable_semidefinite_problem(seed: int) -> None:
     size = 1 + np.max(np.abs(q)) + np.max(np.abs(z))
     assert np.max(np.abs(np.minimum(w, z))) <= 1e-8 * size
     assert np.max(np.abs(w - q - M @ z)) <= 1e-8 * size
+
+
+@pytest.mark.parametrize(("elements", "ratio"), [(16, 2.0), (24, 1.5), (24, 2.0), (48, 1.2)])
+def test_a_floating_beam_of_elements_that_grow_shorter_rests_on_its_ends(elements: int, ratio: float) -> None:
+    """Condensed to three unknowns its stiffness is so soft that rounding hid one of its two rigid motions."""
+    n, lengths = elements, ratio ** -np.arange(elements)
+    K = np.zeros((2 * n + 2, 2 * n + 2))
+    for i, h in enumerate(lengths):
+        bent = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]]
+        bent += [[-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+        K[2 * i : 2 * i + 4, 2 * i : 2 * i + 4] += np.array(bent) / h**3
+    load, rows = np.zeros(2 * n + 2), np.zeros((3, 2 * n + 2))
+    load[:-1:2], rows[[0, 1, 2], [0, n, 2 * n]] = -1.0, -1.0
+    beam = cq.ContactProblem(stiffness=K, load=load, normal=rows, gap=[0.0, 1e3, 0.0])
+    solution = cq.solve(beam, "lemke")
+    right = np.sum(np.append(0, np.cumsum(lengths))) / np.sum(lengths)
+    np.testing.assert_allclose(solution.normal_force, [n + 1 - right, 0.0, right], rtol=1e-9, atol=0)
