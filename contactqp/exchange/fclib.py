@@ -37,7 +37,7 @@ from contactqp.exchange.files import (
     write_whole,
     wrong,
 )
-from contactqp.exchange.local_form import body_motion, local_form_of
+from contactqp.exchange.local_form import body_motion, local_form_of, of_closing_contacts
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Array, Index
 from contactqp.model.local_problem import GlobalProblem, LocalProblem, LocalSolution
@@ -386,7 +386,7 @@ def write_fclib(
         A file that is there is replaced.
     problem : LocalProblem, GlobalProblem or ContactProblem
         A ContactProblem is written in global form: M = K, H = (-E_N', E_T'), w = (g, -slip_origin), G = A', b = -b.
-        `read_fclib` gives all of them back bit for bit; names and units have no place in the file.
+        `read_fclib` gives them back bit for bit. Names, units and contacts of infinite gaps have no place in the file.
     solution : LocalSolution or Solution, optional
         Written under /solution: u, r, and l of joints; in global form v, and nu = -l of ties.
     storage : "csc", "csr" or "triplet", optional
@@ -401,7 +401,7 @@ def write_fclib(
     """
     file = check_file(FilePath(path), SUFFIXES)
     form = LOCAL if isinstance(problem, LocalProblem) else GLOBAL
-    bodies = GlobalProblem.of(problem) if isinstance(problem, ContactProblem) else problem
+    bodies = GlobalProblem.of(of_closing_contacts(problem)) if isinstance(problem, ContactProblem) else problem
     vectors, matrices = _local_data(bodies) if isinstance(bodies, LocalProblem) else _global_data(bodies)
     stored = {name: stored_form(matrix, storage or USUAL_STORAGE[form], name) for name, matrix in matrices.items()}
     answer = _answer_data(bodies, solution) if solution is not None else {}
@@ -451,8 +451,9 @@ def _answer_data(problem: LocalProblem | GlobalProblem, solution: LocalSolution 
     else:
         # Without a coefficient of friction there is no friction force at all.
         given = np.zeros_like(solution.slip) if solution.friction_force is None else solution.friction_force
-        r = np.column_stack([solution.normal_force, -given])
-        u = np.column_stack([solution.gap, solution.slip])
+        written = solution.gap < np.inf
+        r = np.column_stack([solution.normal_force, -given])[written]
+        u = np.column_stack([solution.gap, solution.slip])[written]
         joint, v = -solution.tie_force, solution.displacement
     joints = problem.joints if isinstance(problem, LocalProblem) else len(problem.joint_offset)
     shape = (problem.contacts, problem.dimension)

@@ -25,6 +25,12 @@ class SingularMatrix(InvalidProblem):
     """M has no inverse, so there is no local form: bodies move without any force."""
 
 
+def of_closing_contacts(problem: ContactProblem) -> ContactProblem:
+    """Return the problem without contacts of infinite gaps, for which files of contact problems have no place."""
+    may_close = problem.gap < np.inf
+    return problem if np.all(may_close) else problem.with_contacts(np.flatnonzero(may_close))
+
+
 @checked
 @own_floating_point
 def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> LocalProblem:
@@ -53,8 +59,8 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
     """
     if isinstance(problem, LocalProblem):
         return problem
-    if isinstance(problem, ContactProblem) and np.isinf(problem.gap).any():
-        problem = problem.with_contacts(np.flatnonzero(problem.gap < np.inf))
+    if isinstance(problem, ContactProblem):
+        problem = of_closing_contacts(problem)
     names = problem.contact_names if isinstance(problem, ContactProblem) else None
     bodies = GlobalProblem.of(problem) if isinstance(problem, ContactProblem) else problem
     p = len(bodies.joint_offset)

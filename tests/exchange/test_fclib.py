@@ -261,6 +261,18 @@ def test_a_problem_without_friction_stores_zero_tangential_forces(tmp_path):
     assert cq.read_fclib_solution(tmp_path / "a.hdf5").force == pytest.approx(np.array([[1.0, 0.0]]))
 
 
+def test_contacts_of_infinite_gaps_are_left_out_with_their_zero_forces(tmp_path):
+    rows = dict(normal=[[0.0, -1.0], [-1.0, 0.0]], gap=[np.inf, 0.0], tangent=[[1.0, 0.0], [0.0, 1.0]])
+    problem = cq.ContactProblem(stiffness=np.eye(2), load=[-1.0, 0.5], friction=[0.1, 0.25], **rows)
+    file = tmp_path / "a.hdf5"
+    cq.write_fclib(file, problem, cq.solve(problem))
+    assert cq.read_fclib_solution(file).force == pytest.approx(np.array([[1.0, -0.25]]))
+    read = cq.read_fclib(file)
+    assert (read.gap.tolist(), read.friction.tolist()) == ([0.0], [0.25])
+    np.testing.assert_array_equal(read.normal.toarray(), [[-1.0, 0.0]])
+    np.testing.assert_array_equal(cq.local_form_of(problem).offset, cq.local_form_of(read).offset)
+
+
 def test_what_cannot_be_written_leaves_the_old_file(tmp_path, monkeypatch):
     problem = random_local(False)
     file = tmp_path / "a.hdf5"
