@@ -43,6 +43,7 @@ LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance
 # Coordinates and gains above this part of the largest are not artefacts of that tolerance, and the excess after a
 # linear program, relative to that before, below which it counts as removed.
 DRIVEN, REMAINING = 1e-7, 1e-7
+UNDRIVEN = WITHIN_ROUNDING * DRIVEN  # the part of the least load whose work on motions of such entries is rounding
 PROGRAMS = 4  # linear programs, each starting from the last, which together reach the rounding of doubles
 # Polygons in place of the circle of slips, finer near those that the last allowed; the least part of work that counts.
 POLYGONS, HARDLY_DRIVEN = 6, 1e-10
@@ -261,12 +262,8 @@ def _steepest(drive: Array, normal: Array, tie: Array) -> Array | None:
     if touch_one_each(normal) and touch_one_each(tie):
         ahead = np.sign(drive)
         return np.where(np.any(normal * ahead > 0, axis=0) | np.any(tie != 0, axis=0), 0.0, ahead)
-    answer = _program(
-        -drive / np.max(abs(drive)),
-        **given_rows("ub", normal, np.zeros(len(normal))),
-        **given_rows("eq", tie, np.zeros(len(tie))),
-        bounds=(-1, 1),
-    )
+    apart, still = given_rows("ub", normal, np.zeros(len(normal))), given_rows("eq", tie, np.zeros(len(tie)))
+    answer = _program(-drive / np.max(abs(drive)), **apart, **still, bounds=(-1, 1))
     return None if answer.x is None else np.asarray(answer.x)
 
 
@@ -360,23 +357,24 @@ def _least_excess(unit: Any, left: Vector, m: int) -> tuple[Vector | None, float
     return np.asarray(answer.x[:-1]), float(answer.x[-1]), np.concatenate([weight[:m], weight[m:q] - weight[q:]])
 
 
-def refuse_sparse_drive(problem: ContactProblem) -> None:
+def refuse_sparse_drive(problem: ContactProblem, unbalanced: Vector | None = None) -> None:
     """Raise NoEquilibrium if a load drives a motion that neither K nor a row resists, without condensing.
 
     The motion z with K z = 0, E z <= 0, A z = 0 along which the load does most work, its entries at most one in scaled
-    unknowns, comes from a linear program; its residuals are then formed in extended precision.
+    unknowns, comes from a linear program; its residuals are then formed in extended precision. There is none where
+    admissible forces leave less of the scaled loads `unbalanced` (n,) than rounding of the least: f'z <= |r|'|z|.
     """
     twin, _ = equilibrated(problem)
     if np.all(np.diff(twin.stiffness_rows.indptr)):
         return  # no unknown lacks stiffness, and a linear program in the whole K may take too long
+    if unbalanced is not None and np.sum(abs(unbalanced)) <= UNDRIVEN * np.min(
+        abs(twin.load[twin.load != 0]), initial=np.inf
+    ):
+        return
     held = sp.csr_matrix(sp.vstack([twin.stiffness_rows, twin.tie]))
     held = held[np.flatnonzero(np.diff(held.indptr))]
-    answer = _program(
-        -twin.load,
-        **given_rows("ub", twin.normal, np.zeros(problem.contacts)),
-        **given_rows("eq", held, np.zeros(held.shape[0])),
-        bounds=(-1.0, 1.0),
-    )
+    still, apart = (given_rows(*rows, np.zeros(rows[1].shape[0])) for rows in (("eq", held), ("ub", twin.normal)))
+    answer = _program(-twin.load, **still, **apart, bounds=(-1.0, 1.0))
     if answer.x is not None:
         refuse_drive_along(problem, np.asarray(answer.x, dtype=float))
 

@@ -351,7 +351,7 @@ class SparseRun(Run):
             self._refuse_overlap()
             refuse_sparse_conflict(self.problem)
         if self._state is None or mostly_bare(self.problem):
-            refuse_sparse_drive(self.problem)
+            refuse_sparse_drive(self.problem, None if self._state is None else self._state.left.force.double())
 
     def _refuse_overlap(self) -> None:
         """Raise NoEquilibrium if the displacement with the least violation of the constraints proves their conflict.
