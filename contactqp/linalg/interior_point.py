@@ -32,7 +32,6 @@ from contactqp.linalg.nonnegative import CARRIES, given_rows, highs
 from contactqp.linalg.pardiso import INDEFINITE, elimination_order
 from contactqp.linalg.schur import factorised
 from contactqp.linalg.sparse_saddle import (
-    BALANCED,
     MET_TOGETHER,
     ClosedState,
     Effort,
@@ -123,7 +122,7 @@ def refined(state: ClosedState, effort: Effort) -> ClosedState:
     """
     problem = state.problem
     for _ in range(ROUNDS):
-        if state.holds and state.force_residual <= BALANCED:
+        if state.holds and not state.driven:
             break
         refuse_late("a vertex was found")
         force, length = state.left.force.double(), state.length / FARTHEST

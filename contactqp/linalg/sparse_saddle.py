@@ -41,12 +41,10 @@ BETWEEN = REGULARISATIONS[1:-1]
 FEW_FIXED = 0.2
 # The residual at which no smaller d is tried, and the reduction that a smaller d must achieve.
 FINE, WORTH_ANOTHER = 1e-22, 0.1
-# A sweep has failed if the larger residual grows by more than this.
-GROWS = 4.0
+GROWS = 4.0  # a sweep has failed if the larger residual grows by more than this
 # Parts of K, one small beside rows that nearly depend on each other, with springs; how often they are tried in vain.
 SMALL_STIFFNESS, MOST_IN_VAIN = ((1e-4, 0.0), (1e-8, 0.0), (1e-12, 0.0), (1e-4, 1e-6)), 3
-# Closed contacts and ties that are met to this part of the largest length do not contradict each other.
-MET_TOGETHER = 1e-20
+MET_TOGETHER = 1e-20  # closed contacts and ties met to this part of the largest length do not contradict each other
 # Sweeps of one factorisation, and the part of the residual that one must take away to be followed by another.
 SWEEPS, CONTRACTS = 20, 0.3
 # After one that leaves more than this part none follows; two in turn end them where they leave more than CONTRACTS.
@@ -56,8 +54,7 @@ CORRECTIONS = 2
 # Residuals above this part of the forces and lengths that meet have half of their digits in doubles: as many as a
 # correction needs that is refined in doubles.
 HALF_OF_THE_DIGITS = 1e-8
-# Residuals below this part of the forces and lengths that meet are rounding in extended precision.
-SOLVED = 2.0**-88
+SOLVED = 2.0**-88  # residuals below this part of the forces and lengths that meet are rounding in extended precision
 # Rows with residuals above this part of the largest length are not satisfied, as they conflict.
 MET = 1e-14
 # The same relative to acting forces and imposed lengths, which may be smaller.
@@ -65,11 +62,9 @@ MET_BESIDE_IMPOSED = 1e-10
 NEARLY_MET = 1e-6  # rows with residuals above this part of the largest length contradict each other
 # Forces and lengths below this part of the largest have no sign, as their error is about 1e-28 of it.
 SIGNED = 1e-20
-# Forces below this part of those that cause the lengths that meet count as zero.
-NO_FORCE = 1e-12
+NO_FORCE = 1e-12  # forces below this part of those that cause the lengths that meet count as zero
 BALANCED = 1e-20  # forces balanced to this part of those that meet belong to a solution
-# Residuals above this part of the forces that meet are not due to a backend's tolerance.
-NEARLY_BALANCED = 1e-7
+NEARLY_BALANCED = 1e-7  # residuals above this part of the forces that meet are not due to a backend's tolerance
 # Changes of the set of closed contacts that leave no fewer contacts wrong, before it is given up; and where more than
 # FEW_WRONG of them are, before another backend is asked, whose answer may be nearer.
 WASTED, WASTED_AT_FIRST, FEW_WRONG = 25, 6, 10
@@ -325,6 +320,14 @@ class ClosedState:
         """Return whether the answer solves the problem, with small residuals and neither tension nor penetration."""
         return self.solved and not (self.pulled.any() or self.penetrated.any())
 
+    @property
+    def driven(self) -> bool:
+        """Return whether unbalanced forces may drive a motion, being more than rounding of entries of K leaves."""
+        problem, left = self.problem, abs(self.left.force.double())
+        strain = problem.stiffness_sizes @ abs(self.answer.displacement.double())
+        rounding = np.where(strain > 0, MET * (strain + problem.load_size), 0.0)
+        return bool(np.any(left > np.maximum(rounding, BALANCED * self.force)))
+
 
 def _part(value: float, size: float) -> float:
     if value == 0 and not np.isnan(size):
@@ -404,10 +407,7 @@ def kept_saddle(problem: ContactProblem, closed: Mask, regularisation: float, ef
 
     Parameters
     ----------
-    problem : equilibrated
-    closed : (m,) mask, the contacts that are closed
-    regularisation : what is added to the diagonal of the system
-    effort : counts the factorisation, where one is made
+    problem, closed, regularisation, effort : equilibrated, (m,) mask, added to the diagonal, counts a factorisation
     """
     kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
     key = closed.tobytes(), regularisation
@@ -453,7 +453,7 @@ def nearest_state(
     if driven and not state.solved and state.force_residual <= NEARLY_BALANCED:
         state = _blocked(ClosedState.of(problem, closed, start), state, effort)
     state = with_right_signs(state, effort)
-    if state.holds and state.force_residual > BALANCED:
+    if state.holds and state.driven:
         blocked = _blocked(state, state, effort)
         return blocked if blocked.holds and blocked.better_than(state) else state
     return state
