@@ -45,6 +45,34 @@ NAMED = 6
 MET = 1e-3
 # Steps of conjugate gradients that show a negative eigenvalue.
 STEPS = 15
+# The most rigid motions of a body, and pivots of K with a unit diagonal below which a motion has no energy.
+RIGID_MOTIONS, NO_ENERGY = 6, 1e-13
+
+
+def motions_of_dense(problem: ContactProblem) -> int:
+    """Return the number of motions without energy of a dense K, by Cholesky factors with pivots on the diagonal.
+
+    K is dense where half of its entries are not zero; of others nothing is computed, and the number is zero.
+    """
+    n = problem.dimension
+    if 2 * problem.stiffness_rows.nnz < n * n or not problem.diagonal.all():
+        return 0
+    from scipy.linalg.lapack import dpstrf
+
+    root = 1.0 / np.sqrt(problem.diagonal)
+    _, _, rank, _ = dpstrf(problem.stiffness_rows.toarray() * np.outer(root, root), tol=NO_ENERGY)
+    return n - int(rank)
+
+
+def moves_beyond_bodies(problem: ContactProblem) -> bool:
+    """Return whether a dense K has more motions without energy than bodies have rigid ones, as a fit to few data.
+
+    Condensing would treat each of them as rigid.
+    """
+    if problem.frictional or problem.is_small:
+        return False
+    motions = motions_of_dense(problem)
+    return motions > RIGID_MOTIONS and motions > RIGID_MOTIONS * connected_parts(problem.stiffness_rows)[0]
 
 
 def diagonal_dominance(problem: ContactProblem) -> Vector:

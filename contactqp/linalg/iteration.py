@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported, free_memory
 from contactqp.linalg import pardiso, schur
 from contactqp.linalg.contact_iteration import ContactIteration
+from contactqp.linalg.convexity import moves_beyond_bodies
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.factorization import stated_motions, widest_level
@@ -170,8 +171,8 @@ def constraints_are_many(problem: ContactProblem) -> bool:
     the unknowns. Sparse, p unknowns and rows take time like p, for residuals and steps, and like the operations of a
     sparse factorisation: p b^2 for a band of b, 10 p^1.5 (d/5)^2 for a plane grid with d entries in a row where that is
     less; in space more. With a hierarchy few factorisations are needed, while the interior point of a backend needs one
-    per step. If K has no entry at more unknowns than a body has rigid motions, condensing would treat each of these as
-    a motion.
+    per step. If K has more motions without energy than bodies have rigid ones, condensing would treat each as a rigid
+    motion.
     """
     cached = problem._computed.constraints_are_many
     if problem.frictional not in cached:
@@ -201,7 +202,7 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
         return False
     if problem.frictional and not _in_the_plane(problem):
         return False
-    if not problem.diagonal.all() and mostly_bare(problem):
+    if mostly_bare(problem) if not problem.diagonal.all() else moves_beyond_bodies(problem):
         return True
     rows = [problem.normal, problem.tie]
     if problem.frictional and problem.tangent is not None:

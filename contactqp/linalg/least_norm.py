@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.linalg.condensation import Condensation, free_motions
+from contactqp.linalg.convexity import motions_of_dense
 from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.equilibration import entries_of, rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
@@ -76,18 +77,20 @@ def shift_to_least_norm(
     return _shift_along(problem, free, condensation.unknown_scale, answer)
 
 
-# The most operations on free motions: the larger of unknowns and rows times the square of their number.
-MOST_MOVED = 100_000_000
+# The most operations on free motions: the larger of unknowns and rows times the square of their number; and the
+# operations for each of them and each entry of a dense K, whose null space is found in extended precision.
+MOST_MOVED, OF_ENTRIES = 100_000_000, 25
 
 
 def sparse_shift_to_least_norm(problem: ContactProblem, answer: Answer, closed: Indices) -> tuple[Vector, Array]:
     """Return the shift and the free motions of `shift_to_least_norm` without condensing.
 
     Parameters are those of `shift_to_least_norm`. There are no motions where these would take longer than most answers,
-    as with a thousand unknowns without stiffness.
+    as with a thousand unknowns without stiffness, or a dense K of 400 with half as many motions without energy.
     """
     none, (n, rows) = np.zeros(problem.dimension), (problem.dimension, len(closed) + problem.ties)
-    if max(n, rows) * np.count_nonzero(problem.diagonal == 0) ** 2 > MOST_MOVED:
+    bare, dense = np.count_nonzero(problem.diagonal == 0), OF_ENTRIES * problem.stiffness_rows.nnz
+    if max(n, rows) * bare**2 > MOST_MOVED or dense * motions_of_dense(problem) > MOST_MOVED:
         return none, none[:, None][:, :0]
     motions, scale = null_space(problem.stiffness_rows).motions, unknown_scale(problem)
     if max(n, rows) * motions.shape[1] ** 2 > MOST_MOVED:

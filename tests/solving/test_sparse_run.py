@@ -437,3 +437,39 @@ def test_the_answer_of_a_dense_backend_to_a_plan_is_settled_by_sparse_systems() 
     settled = cq.solve(plan, "daqp")
     assert settled.certificate.passed
     assert settled.energy == pytest.approx(plan.energy(amount), rel=1e-12)
+
+
+def fit(data: int, unknowns: int) -> tuple[cq.ContactProblem, float]:
+    """The fit of unknowns of at least zero to data that positive ones meet, if these are fewer, and their energy."""
+    random = np.random.default_rng(data)
+    X = random.random((data, unknowns))
+    y = X @ random.uniform(1.0, 2.0, unknowns)
+    return cq.ContactProblem.from_qp(X.T @ X, -(X.T @ y), lb=np.zeros(unknowns)), float(-0.5 * (y @ y))
+
+
+def test_a_dense_energy_of_few_data_is_not_condensed() -> None:
+    """Each motion without energy was treated as a rigid one: with 800 unknowns and 400 data that took half a minute."""
+    assert constraints_are_many(fit(30, 60)[0])
+    assert not constraints_are_many(fit(80, 60)[0])
+    springs = np.eye(36)
+    for first in range(0, 36, 18):  # two dense bodies, each with the motions of a rigid one
+        z = np.linalg.qr(np.random.default_rng(first).standard_normal((18, 6)))[0]
+        springs[first : first + 18, first : first + 18] -= z @ z.T
+    assert not constraints_are_many(cq.ContactProblem(springs, np.zeros(36), -np.eye(36), np.zeros(36)))
+
+
+def test_loads_that_balance_to_rounding_of_dense_entries_close_no_contacts() -> None:
+    """Their rounding drove thirty motions without energy, along which fifty contacts closed one after the other."""
+    problem, energy = fit(30, 60)
+    solution = cq.solve(problem)
+    assert solution.certificate.proven
+    assert solution.energy == pytest.approx(energy, rel=1e-12)
+    assert solution.work.factorisations < 10
+
+
+def test_free_motions_of_a_dense_energy_are_searched_where_that_takes_a_part_of_a_second() -> None:
+    """In extended precision the null space of 400 unknowns with half as many data takes ten seconds."""
+    few, many = (cq.solve(fit(size // 2, size)[0]) for size in (60, 320))
+    assert len(few.free_motions) == 30
+    assert not many.free_motions
+    assert many.certificate.proven
