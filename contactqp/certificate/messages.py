@@ -368,7 +368,7 @@ def of_rounded_stiffness(problem: ContactProblem, answer: Answer, bounds: Bounds
     if not bounds.energy_scale > 0 or bounds.rigid_rounding > 0:
         return
     u = answer.displacement
-    moved = float(abs(u) @ inner_forces(problem, u)) / bounds.energy_scale**2
+    moved = float((abs(u) / bounds.energy_scale) @ (inner_forces(problem, u) / bounds.energy_scale))
     if moved > MUCH_MOVED:
         yield (
             f"the last digits of the entries of the stiffness may change the strain energy by {EPS * moved:.2g} "

@@ -4,6 +4,7 @@ of the intrinsic size, at every contact of problems whose answers lie beside tho
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import pytest
 import contactqp as cq
 from benchmarks.friction_families import contact_problem
 from benchmarks.problem_families import family
-from contactqp.model.solution import Solution
+from contactqp.certificate.bounds import no_bounds
+from contactqp.certificate.messages import of_rounded_stiffness
+from contactqp.model.solution import Answer, Solution
 
 KINDS = (
     "bedded",
@@ -106,3 +109,13 @@ def test_elements_of_like_length_hide_no_digits() -> None:
     found = cq.solve(cantilever(np.linspace(0.0, 2.0, 101)))
     assert found.displacement[-2] == pytest.approx(8 / 3, rel=1e-7)
     assert found.certificate.notes == ()
+
+
+def test_the_note_on_rounded_entries_has_no_square_of_an_energy_norm_beyond_doubles() -> None:
+    """The square of 1e-170 is zero: it was divided by."""
+    stiffness = np.array([[1.0, -1.0], [-1.0, 1.0 + 2.0**-40]])
+    problem = cq.ContactProblem(stiffness, [0.0, 0.0], np.zeros((0, 2)), [])
+    answer = Answer(np.full(2, 1e-164), np.zeros(0), None, np.zeros(0))
+    notes = list(of_rounded_stiffness(problem, answer, replace(no_bounds(""), energy_scale=1e-170)))
+    assert len(notes) == 1
+    assert "0.00089 of itself" in notes[0]
