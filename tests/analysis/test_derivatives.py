@@ -370,6 +370,7 @@ def test_redundant_contacts_may_set_free_what_they_hold() -> None:
     )
 
 
+@pytest.mark.slow
 def test_bodies_free_to_slide_have_the_rates_of_what_is_determined() -> None:
     """Two blocks on a floor that nothing holds sideways: weights change the forces beneath, pushes are not borne."""
     K = np.zeros((4, 4))

@@ -296,6 +296,7 @@ def test_the_quick_search_and_all_combinations_choose_alike(monkeypatch: pytest.
         cq.follow_path(problem, loads, events="exact")
 
 
+@pytest.mark.slow
 def test_forces_that_are_not_unique_go_on_from_where_they_are() -> None:
     """Two unknowns held by a tie, a floor and friction: what carries what is open, and follows the load steadily."""
     problem = cq.ContactProblem(

@@ -206,6 +206,7 @@ def test_each_step_starts_from_the_one_before(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(warm.displacement, cold.displacement, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lift", "searched"), [(0.0, False), (50.0, True)])
 def test_where_a_body_that_nothing_holds_closes_is_not_searched_for(
     lift: float, searched: bool, monkeypatch: pytest.MonkeyPatch

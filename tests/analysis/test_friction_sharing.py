@@ -165,7 +165,7 @@ def test_an_edge_in_space_holds_a_node_until_it_slips_along_it() -> None:
     assert slid.derivative("displacement", "load", [1.0, 0.0, 0.0]).value == pytest.approx([0.25, 0.0, 0.0])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("blind", [False, True])
 def test_slips_that_may_begin_in_space_are_not_overlooked(blind: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two floors the smooth one may take so much that the other lets go, in the direction of what pulls."""

@@ -236,6 +236,7 @@ def test_a_cylinder_on_one_node_takes_as_few_solves_in_feet_as_in_millimetres(tm
     assert len(counts) < 150
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spring", [0.0, 1e-3])
 def test_what_the_load_drives_to_contacts_that_are_held_open_is_not_sought_farther_and_farther(
     spring: float, monkeypatch: pytest.MonkeyPatch

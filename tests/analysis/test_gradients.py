@@ -114,7 +114,7 @@ def test_what_the_data_in_doubles_lack_belongs_to_the_bound(monkeypatch: pytest.
     assert any(error > Fraction(bound) for error, bound in below)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("refined", [True, False])
 def test_a_rounded_answer_has_the_gradients_of_the_exact_one(refined: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Products with a displacement that is off by 1e-10 are off, unless its refinement is taken instead."""

@@ -57,6 +57,7 @@ def test_nodes_that_slid_in_an_earlier_step_may_hold_a_chain_near_its_greatest_p
     np.testing.assert_allclose(last.normal_force[5:-1] / last.normal_force[4:-2], ratio, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_chain_pulled_harder_than_friction_holds_says_what_may_help() -> None:
     """The greatest pull is about exp(0.3 pi/2) = 1.602."""
     words = r"load factor 1.75: .*down to 1/16 converge: take more steps, unless nothing balances that load"

@@ -105,7 +105,7 @@ def near_its_origin() -> cq.ContactProblem:
     )  # fmt: skip
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("refined", [True, False])
 def test_directions_that_doubles_hardly_tell_are_refined(refined: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the answer beyond doubles the direction of the slip is off, and more than bounds say."""

@@ -182,6 +182,7 @@ def test_a_motion_that_nothing_drives_is_no_error_and_a_driven_one_no_solution()
         find_truth(cq.ContactProblem(load=[1.0, -2.0], **pair))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_lemke_against_enumeration(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -286,7 +287,7 @@ FEW += ["bedded", "decaying_path", "pushed_rigidly", "unstrained", "interference
 FEW += ["printed_floating", "far_gap", "scaled_contact"]
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("name", FEW)
 def test_nothing_wrong_passes_on_a_few(name: str) -> None:
     report = judging.judge(name, 0, ("active-set", "osqp", "penalty"))

@@ -65,6 +65,7 @@ def _scopes(problem: cq.ContactProblem, answers: Any) -> list[Any]:
     return [cq.certify(problem, one.displacement, one.normal_force, one.friction_force).scope for one in answers]
 
 
+@pytest.mark.slow
 def test_several_answers_beside_a_massless_node_are_proven_nearby_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

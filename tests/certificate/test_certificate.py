@@ -438,6 +438,7 @@ def test_friction_that_drives_is_refused_however_soft_the_body_is_along_the_norm
     assert not cq.certify(problem, [-2.1, 0.0], [7.0], [[2.1]]).passed
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("origin", "passes"), [(1e-17, True), (-1e-13, True), (1e-3, False)])
 @pytest.mark.parametrize("length", [1.0, 1e-20, 1e20])
 def test_a_slip_of_rounding_where_a_node_is_held_across_turns_no_friction(

@@ -301,6 +301,7 @@ def test_contacts_that_graze_and_can_never_press_are_no_other_forces() -> None:
     assert any(note.startswith("forces are not unique") for note in pushed.certificate.notes)
 
 
+@pytest.mark.slow
 def test_a_contact_that_grazes_may_press_beside_others_that_already_do() -> None:
     """A block on its two edges and between them: its weight rests on the edges, or in part between them."""
     rows = [[-1.0, 1.0], [-1.0, 0.0], [-1.0, -1.0]]
@@ -369,7 +370,7 @@ SQUEEZED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("condense", [True, False])
 @pytest.mark.parametrize("what", SQUEEZED)
 def test_contacts_that_overlap_by_rounding_prove_nothing(what: str, condense: bool) -> None:
@@ -391,7 +392,7 @@ def test_contacts_that_touch_exactly_are_proven_though_they_depend_on_each_other
     assert cq.solve(node).certificate.proven
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [1e-11, 1e-12])
 def test_ties_that_nearly_depend_on_each_other_are_named_where_nothing_is_certified(turned: float) -> None:
     """Their forces are 1 / turned, of which doubles leave no digits: the message says which rows to change."""

@@ -183,7 +183,7 @@ def test_an_unknown_that_runs_away_hides_no_penetration() -> None:
     assert found.energy_error is None or found.energy_error > 1.0
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("part", [0.0, 1e-8, 3e-6, 1e-5])
 def test_the_displacement_of_a_slender_beam_is_judged_where_its_energy_is(part: float) -> None:
     """Its factors tell that it is held, though forces move it as far as they move what nothing holds."""

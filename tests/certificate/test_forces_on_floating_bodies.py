@@ -227,6 +227,7 @@ def test_what_rounding_strains_along_a_motion_that_a_tie_asks_for_is_no_error() 
         assert not cq.certify(problem, u + np.array([strained, 0.0, 0.0, 0.0])).passed
 
 
+@pytest.mark.slow
 def test_forces_of_ties_are_held_against_a_contact_at_unknowns_without_stiffness() -> None:
     """The contact carries the load, and the tie nothing: a rounding of its force was compared with itself."""
     K = np.zeros((5, 5))

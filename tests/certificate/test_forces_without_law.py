@@ -141,6 +141,7 @@ def test_forces_of_ties_are_forces(force: float) -> None:
     assert refused_for_its_force(cq.certify(problem, *given, tie_force=solution.tie_force + force))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("force", [1e-6, 1.0, 1e6])
 def test_forces_of_ties_are_told_where_no_contact_has_one(length: float, force: float) -> None:
@@ -157,6 +158,7 @@ def test_forces_of_ties_are_told_where_no_contact_has_one(length: float, force: 
         assert certificate.passed is passes
 
 
+@pytest.mark.slow
 def test_ties_that_depend_on_each_other_share_as_they_like() -> None:
     problem = on_a_stop(gap=[2.0], tie=np.vstack([row(TIP), 2.0 * row(TIP)]), tie_value=[-20.0, -40.0])
     solution = cq.solve(problem)
@@ -223,7 +225,7 @@ def test_gaps_that_count_as_nothing_beside_others_are_told() -> None:
     assert not any("not told from zero" in note for note in cq.solve(near).certificate.notes)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [STRAY, 1e-2])
 def test_forces_of_ties_are_forces_with_friction_too(force: float) -> None:
     problem = on_a_stop(gap=[2.0], tie=row(TIP), tie_value=[-20.0], tangent=row(MIDDLE - 40), friction=[0.3])

@@ -32,7 +32,7 @@ def test_a_force_exchanged_for_that_of_a_nearly_parallel_row_is_refused(exponent
             assert judged.force_bound is None or np.all(judged.force_bound >= (1 - 1e-14) * error)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("stiffness", [64.0, 4096.0, 2.0**20])
 @pytest.mark.parametrize("exponent", [20, 26, 30])
 def test_forces_of_nearly_parallel_rows_are_exact_where_an_unknown_has_no_stiffness(

@@ -9,6 +9,7 @@ from scipy.optimize import linprog
 import contactqp as cq
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cost", "supply", "demand"),
     [

@@ -79,6 +79,7 @@ def test_what_a_verdict_rests_on_without_friction() -> None:
     assert cq.certify(smooth, np.array([np.nan]), np.array([2.0])).basis == "figures"
 
 
+@pytest.mark.slow
 def test_redundant_forces_may_be_shared_in_any_way_that_adds_up() -> None:
     problem = _bar(1e-3, 11.0, contacts=2)
     shared = np.array([0.001, 0.0]), np.array([3.0, 7.0]), np.array([0.9, 2.1])
@@ -188,6 +189,7 @@ def test_contacts_that_slip_in_space_are_compared_along_their_slip() -> None:
     assert not cq.certify(known.problem, solution.displacement, solution.normal_force, turned).passed
 
 
+@pytest.mark.slow
 def test_in_space_a_redundant_contact_at_its_bound_that_does_not_slip_sticks() -> None:
     """Its slip is zero and has no direction; its twin sticks well within its bound."""
     problem = contact_problem("redundant 3D", 92).problem

@@ -46,7 +46,7 @@ def two_arcs():
 SCENES = {"arcs": two_arcs, "quads": two_curved, "triangles": lambda: two_curved("tri3")}
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("pairing_of", PAIRINGS)
 def test_surfaces_that_are_far_apart_are_searched_in_little_memory(pairing_of):
     """Balls along a normal of 1e13 times a facet filled all memory."""

@@ -67,6 +67,7 @@ def test_a_linear_pressure_has_its_exact_force_and_moment(kind):
     np.testing.assert_allclose(moment(b, f), [m_x, m_y, 0.0], atol=1e-13)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("mesh", [disc(2.0, (2, 2), k) for k in PLANE] + [ball(2.0, (1, 1), k) for k in SOLID])
 def test_a_constant_pressure_all_around_balances_itself(mesh):
     b = Body(mesh, STEEL, "3d" if mesh.dimension == 3 else "plane-strain", name="body")
@@ -105,6 +106,7 @@ def test_the_pressure_on_half_a_ball_is_that_on_its_great_circle():
         assert np.isclose(up, 3.0 * np.pi * 4.0, rtol=1e-13)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 def test_gravity_has_the_weight_and_its_moment(kind):
     if kind in PLANE:
@@ -175,7 +177,7 @@ def test_the_mass_of_a_bar_is_exact():
     assert lumped.tolist() == np.diag([15, 15, 15, 15]).tolist()
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("lumped", [False, True])
 @pytest.mark.parametrize(("kind", "model"), MODELS)
 def test_translations_have_the_whole_mass(kind, model, lumped):

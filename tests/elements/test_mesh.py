@@ -25,6 +25,7 @@ def test_the_boundary_is_what_one_element_alone_has():
     assert mesh.elements == 2
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 def test_the_boundary_of_a_block_has_as_many_facets_as_its_sides(kind):
     flat = kind in PLANE
@@ -121,6 +122,7 @@ def test_a_folded_quadrilateral_is_refused_with_the_node_where_it_folds():
         mesh_from_arrays(points, {"quad4": QUADS})
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 def test_every_kind_is_refused_when_it_is_turned_inside_out(kind):
     mesh = rectangle(1.0, 1.0, (2, 2), kind) if kind in PLANE else box((1.0, 1.0, 1.0), (1, 1, 1), kind)
@@ -128,6 +130,7 @@ def test_every_kind_is_refused_when_it_is_turned_inside_out(kind):
         mesh.mapped(lambda x: x * ([-1, 1] if kind in PLANE else [-1, 1, 1]))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 def test_every_kind_is_refused_when_it_is_flat_and_accepted_when_it_is_thin(kind):
     mesh = rectangle(1.0, 1.0, (2, 2), kind) if kind in PLANE else box((1.0, 1.0, 1.0), (1, 1, 1), kind)

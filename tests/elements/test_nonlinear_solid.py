@@ -58,6 +58,7 @@ def test_force_and_tangent_are_the_derivatives_of_the_energy(kind, model, law):
     check_derivatives(NonlinearSolid(scaled, law), u / size, 1e-6)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("kind", "model", "law"), CASES)
 def test_a_homogeneous_deformation_is_exact_on_a_distorted_mesh(kind, model, law):
     """The patch test: the same stress everywhere, by hand from F, and no force on any inner node."""

@@ -84,6 +84,7 @@ def test_the_check_of_derivatives_fails_on_half_of_the_quadratic_term():
         check_derivatives(course_bar(), np.zeros(4))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("volume", VOLUMES)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("dimension", [2, 3])

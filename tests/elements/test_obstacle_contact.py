@@ -37,6 +37,7 @@ def test_rows_and_curvature_are_derivatives_of_the_gaps_of_now(name):
     assert (np.abs(curvature).max() > 1e-2) == (name not in FLAT)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_slip_is_measured_along_the_tangents_of_now(name):
     contact, u = contact_with(name)

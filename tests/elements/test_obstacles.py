@@ -28,6 +28,7 @@ def some_points(dimension: int) -> np.ndarray:
     return np.random.default_rng(4).uniform(1, 3, (20, dimension))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_normals_are_the_gradients_of_the_distance(name):
     obstacle = OBSTACLES[name]
@@ -50,7 +51,7 @@ def in_units(obstacle, unit):
     return replace(obstacle, **named)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("power", [-900, -600, -480, 480, 600, 900])
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_units_change_no_distance_and_no_normal(name, power):
@@ -60,6 +61,7 @@ def test_units_change_no_distance_and_no_normal(name, power):
     np.testing.assert_allclose(other.normals(x * unit), obstacle.normals(x), rtol=0, atol=1e-9)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_no_points_have_no_distances(name):
     obstacle = OBSTACLES[name]
@@ -68,6 +70,7 @@ def test_no_points_have_no_distances(name):
     assert obstacle.normals(none).shape == (0, obstacle.dimension)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", OBSTACLES)
 def test_a_step_along_the_normal_is_a_step_of_the_distance(name):
     """True of a distance only: of x^2 + y^2 - R^2 or of a gap along an axis it is not."""

@@ -45,12 +45,14 @@ def test_gauss_is_exact_to_degree_2n_minus_1_in_each_coordinate(order, dimension
     assert not np.isclose(rule.points[:, 0] ** (2 * order) @ rule.weights, 2**dimension / (2 * order + 1))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ALL)
 def test_shape_functions_are_one_at_their_node_and_zero_at_the_others(name):
     kind = REFERENCES[name]
     np.testing.assert_array_equal(kind.shape(kind.nodes), np.eye(len(kind.nodes)))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ALL)
 def test_gradients_are_those_of_the_shape_functions(name):
     kind = REFERENCES[name]
@@ -62,6 +64,7 @@ def test_gradients_are_those_of_the_shape_functions(name):
         np.testing.assert_allclose(kind.gradient(x)[..., axis], slope, atol=1e-9)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", ALL)
 def test_every_complete_polynomial_of_the_degree_is_reproduced(name):
     kind = REFERENCES[name]
@@ -92,6 +95,7 @@ def test_nodes_stand_in_the_order_of_vtk(name):
     np.testing.assert_array_equal(kind.nodes[kind.corners :], middles)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", KINDS)
 def test_facets_enclose_the_element_and_point_out_of_it(name):
     """The divergence theorem on a distorted mesh: the integral of n is 0, that of x.n is d times the volume."""
@@ -107,6 +111,7 @@ def test_facets_enclose_the_element_and_point_out_of_it(name):
     assert mesh.volume() > 0.5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", KINDS)
 def test_facets_list_corners_then_middles_between_them_then_the_centre(name):
     kind = REFERENCES[name]

@@ -98,6 +98,7 @@ def test_cylinders_converge_to_their_volume(part, kind):
             faces(mesh, name, axis, sign)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("kind", PLANE + SOLID)
 def test_boxes_are_exact_and_their_sides_are_named_after_where_they_are(kind):
     if kind in PLANE:

@@ -72,6 +72,7 @@ def _write(path: Path, kind: str, name: str, values: list[float]) -> Path:
     return target
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kind", ["json", "json by name", "npz", "folder"])
 @pytest.mark.parametrize(
     "name", ["lambda", "CNORMF", "normal_forces", "fn", "dual", "r_n", "friction", "tau", "impulse"]

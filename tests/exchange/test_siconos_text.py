@@ -31,6 +31,7 @@ STORAGES = {
 IN_SPACE = STORAGES | {"blocks": lambda matrix: blocks_text(matrix, [1, 3], [2, 3])}
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("end", ["", "0\n", "1"])
 def test_a_local_file_is_a_local_problem(tmp_path, storage, end):
@@ -44,6 +45,7 @@ def test_a_local_file_is_a_local_problem(tmp_path, storage, end):
     assert problem.dimension == 2
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("storage", IN_SPACE)
 @pytest.mark.parametrize("other", IN_SPACE)
 def test_a_global_file_is_a_contact_problem(tmp_path, storage, other):

@@ -124,6 +124,7 @@ def test_planes_that_contradict_each_other_stay_as_they_are() -> None:
     assert "energy_bounds: those of the problem whose gaps and tie values are moved" in " ".join(certificate.reasons)
 
 
+@pytest.mark.slow
 def test_the_certificate_begins_with_the_solution_of_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the very answer that a method gave nothing is solved again, of any other everything."""
     problem, _, _ = corner(0)

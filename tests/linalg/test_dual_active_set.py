@@ -102,6 +102,7 @@ def strict(seed: int) -> tuple[StrictProgram, np.ndarray, np.ndarray, np.ndarray
     return StrictProgram(H, f, rows, limit, tied), H, f, rows, limit, tied
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_dual_active_set_in_factors_ends_at_the_minimum(seed: int) -> None:
     """Forces balance, push, and act on rows that are met; whatever rows it starts with, the point is the same."""

@@ -176,6 +176,7 @@ def test_motions_that_are_stated_wrongly_or_in_part_stay_hints():
         assert np.allclose(solution.normal_force, reference, rtol=0, atol=1e-9 * np.max(reference))
 
 
+@pytest.mark.slow
 def test_supports_leave_combinations_of_the_stated_motions():
     # Held in x at one side: only the motion along y is left, one column or a combination of several.
     body = Body(rectangle(1.0, 0.5, (36, 18)), Material(1.0, 0.3), "plane-strain", name="block")

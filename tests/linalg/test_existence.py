@@ -66,7 +66,7 @@ def test_ties_that_differ_by_rounding_are_no_conflict(method: str) -> None:
     assert solution.displacement == pytest.approx([0.3, 1e-4], rel=1e-12)
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("turned", [0.0, 0.1, 0.2, 0.7])
 @pytest.mark.parametrize("short", [1e-2, 3e-3, 1e-4, 1e-5])
 def test_a_block_in_space_slides_in_all_frames(turned: float, short: float) -> None:

@@ -21,7 +21,7 @@ def of_size_one(problem: cq.ContactProblem) -> cq.ContactProblem:
     )  # fmt: skip
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("decades", [2.25, 0.0])
 def test_a_tie_that_is_not_met_passes_in_no_units_of_rows(decades: float) -> None:
     """A tie was met to 3e-5 of its own lengths, and an energy of 1051 proven, where `cq.exact` finds 5785204."""

@@ -101,7 +101,7 @@ def test_answers_that_decay_to_nothing_are_accepted(kind: str, method: str) -> N
     assert np.min(u[u > 0]) < 1e-16 * np.max(u)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-4, 1e-10, 1e-14])
 @pytest.mark.parametrize("kind", ["rail", "block"])
 def test_paths_that_begin_small_are_accepted_and_wrong_forces_at_their_first_step_are_not(
@@ -334,7 +334,7 @@ def test_what_overflows_excuses_nothing() -> None:
         assert not cq.certify(problem, [right.displacement[0], 1e100], right.normal_force).passed
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [1.0, 1e-3, 1e3])
 def test_a_tie_that_an_unknown_without_stiffness_takes_up_hides_no_tension(load: float) -> None:
     """A stiff bar against two equal stops; the tie moves a lever that nothing resists, not the bar."""

@@ -347,6 +347,7 @@ def test_contacts_where_nothing_arrives_hold_up_no_set(monkeypatch: pytest.Monke
     assert solution.normal_force == pytest.approx(exact.normal_force, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 @needs_pyamg
 def test_sets_that_grow_and_shrink_in_turn_are_left_to_another_method(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a membrane they turn a few times, which is no reason to give up; where one turn is, nothing is identified."""

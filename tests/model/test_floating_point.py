@@ -212,7 +212,7 @@ def shapes(size: float) -> dict[str, Callable[[], Any]]:
     }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("size", [1e-320, 1e-160, 1.0, 1e160, 1e300])
 @pytest.mark.parametrize("name", shapes(1.0))
 def test_what_bodies_and_obstacles_compute_too(name: str, size: float) -> None:

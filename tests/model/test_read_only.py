@@ -107,6 +107,7 @@ def test_no_array_can_be_written(kind: str, way: str) -> None:
     assert [path for path, array in found.items() if array.flags.writeable] == []
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("part", ["data", "indices", "indptr"])
 @pytest.mark.parametrize("matrix", ["stiffness", "normal", "tangent", "tie"])
 def test_a_sparse_matrix_of_a_problem_cannot_be_changed_in_place(matrix: str, part: str) -> None:
@@ -286,7 +287,7 @@ DOORS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-@pytest.mark.sampled(9)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("mask", [True, False])
 def test_masked_arrays_are_refused_wherever_arrays_are_read(door: str, mask: bool) -> None:

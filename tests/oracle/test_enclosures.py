@@ -122,6 +122,7 @@ def test_two_hundred_contacts_are_known_to_twelve_digits() -> None:
     assert solution.normal_force == pytest.approx(doubles.normal_force, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_two_hundred_contacts_condensed_to_a_dense_matrix() -> None:
     rng = np.random.default_rng(6)
     basis = rng.standard_normal((200, 200))
@@ -267,6 +268,7 @@ def test_products_of_integers_are_not_rounded() -> None:
     assert (fixed([1.5]) - fixed([0.25]) + fixed([1e300])).fractions()[0] == F(1e300) + F(5, 4)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(10))
 def test_the_least_eigenvalue_is_never_overestimated(seed: int) -> None:
     rng = np.random.default_rng(seed)

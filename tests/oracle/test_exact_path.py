@@ -140,6 +140,7 @@ def two_stops(friction: tuple[float, float]) -> RationalProblem:
     )
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("friction", [(1.0, 1.0), (1.0, 0.25), (0.25, 1.0)])
 @pytest.mark.parametrize("push", [0.0, 0.125, 0.5, 2.0])
 def test_forces_that_are_open_in_rates_are_said_to_be(friction: tuple[float, float], push: float) -> None:

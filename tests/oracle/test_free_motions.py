@@ -62,6 +62,7 @@ def test_its_joints_carry_all_vertical_load(stack: cq.ExactSolution) -> None:
         assert float(pushed - load) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_body_that_may_slide(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["oracle", str(CASES / "floating_disc.toml")])

@@ -48,7 +48,7 @@ def test_problems_come_back_to_the_last_bit(exported: Path, known: GalleryProble
     assert not ledger.ignored
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("known", EVERY)
 def test_answers_are_right_in_the_hands_of_another_code(exported: Path, known: GalleryProblem) -> None:
     folder = exported / known.name

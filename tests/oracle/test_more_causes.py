@@ -246,6 +246,7 @@ def test_of_several_answers_a_printed_one_is_near_its_own() -> None:
     assert "digits" not in wrong.diagnosis
 
 
+@pytest.mark.slow
 def test_seven_digits_are_no_other_load() -> None:
     """A bar that nothing touches is stretched by its load alone: what rounds this is not another load."""
     load = 1.2345678

@@ -199,6 +199,7 @@ def test_contacts_that_stick_where_a_free_motion_ends_may_share_forces() -> None
     assert answer.force_range.tolist() == [[0, None]]
 
 
+@pytest.mark.slow
 def test_a_proposal_that_overlaps_wherever_it_drifts_is_left_for_the_other_combinations() -> None:
     # Nothing is stiff, and a free motion parts no contact that overlaps in the first proposal. The load is
     # (1, 0, 1) - (1, -1, 0) / 2: the second contact slips back and carries it alone.

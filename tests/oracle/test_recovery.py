@@ -360,6 +360,7 @@ def test_forces_alone_put_a_body_where_contacts_without_force_leave_one_place() 
     assert not cq.certify(problem, None, [1.0 + 1e-6, 0.0, 0.0, 0.0], tie_force=[1.5]).passed
 
 
+@pytest.mark.slow
 def test_friction_that_takes_back_its_push_has_no_part_in_what_is_shared() -> None:
     """Contact 1 pushes along its own tangent: with a coefficient of one an edge of its cone exerts nothing."""
     problem = cq.ContactProblem(

@@ -156,6 +156,7 @@ def test_plane_stress_and_axial_symmetry_tell_where_calculix_differs(tmp_path: p
     assert any(line.startswith(f"{kind}: ") for line in deck.ledger.assumed)
 
 
+@pytest.mark.slow
 def test_many_lines_of_loads_are_read_in_little_time(tmp_path: pathlib.Path) -> None:
     free = STACK.replace("*BOUNDARY\nTOP, 3, 3, -0.02\n", "*DLOAD\n" + "2, P2, 0.01\n" * 3000)
     began = time.process_time()

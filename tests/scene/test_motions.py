@@ -342,6 +342,7 @@ def test_bodies_collide_and_exchange_momentum_exactly():
     assert all(row.ok for row in found), found
 
 
+@pytest.mark.slow
 def test_a_box_falls_in_space():
     shape = {"kind": "box", "element": "hex8", "size": ["1 cm", "1 cm", "1 cm"], "divisions": [1, 1, 2]}
     body = BLOCK["bodies"][0] | {"shape": shape, "model": "3d", "thickness": None}

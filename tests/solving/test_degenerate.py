@@ -223,7 +223,7 @@ def test_contacts_on_pins_that_are_tied_to_what_floats(method: str) -> None:
     assert solved > 20
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 4.0**40, 4.0**-150])
 def test_a_contact_where_a_tie_holds_on_a_frame_that_floats(unit: float) -> None:
     """Force on the stop and force in the tie are one, and the least is none on the stop, in any unit."""
@@ -265,7 +265,7 @@ def test_nothing_but_gaps_moves_what_has_no_stiffness_whatever_the_units_of_rows
     assert np.max(abs(solution.normal_force)) <= 1e-12
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [2.0**-80, 2.0**-40, 1.0, 2.0**60])
 @pytest.mark.parametrize("length", [1.0, 2.0**-30])
 def test_loads_on_what_has_no_stiffness_beside_a_body_that_nothing_touches(force: float, length: float) -> None:

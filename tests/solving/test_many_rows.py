@@ -251,6 +251,7 @@ def held_at_no_cost() -> tuple[cq.ContactProblem, dict[str, np.ndarray]]:
     return problem, dict(displacement=1.0 - stiffness, **forces)
 
 
+@pytest.mark.slow
 def test_forces_of_rounding_are_measured_by_what_lengths_would_make() -> None:
     problem, answer = held_at_no_cost()
     assert cq.certify(problem, **answer).passed

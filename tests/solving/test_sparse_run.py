@@ -262,7 +262,7 @@ def test_an_indefinite_stiffness_of_a_few_contacts_is_refused_with_its_direction
         cq.solve(problem)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["clarabel", "piqp"])
 def test_backends_are_polished_on_sparse_systems(backend: str) -> None:
     pytest.importorskip(backend)

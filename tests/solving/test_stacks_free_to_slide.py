@@ -114,7 +114,7 @@ def _lattice(rng: np.random.Generator, wide: int, size: float) -> list[tuple[int
     return [(i, j, d, size * 10 ** rng.uniform(0, 1)) for i, j, d in pairs if np.max(abs(d)) == 1]
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_forces_are_those_of_the_springs_whose_sums_k_rounds(seed: int) -> None:
     """A stiffness whose sums are rounded is singular to rounding only; the unrounded one, in rational numbers, is so

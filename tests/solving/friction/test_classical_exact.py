@@ -114,7 +114,7 @@ def test_mirrored_tangents_mirror_the_friction(name: str) -> None:
     np.testing.assert_allclose(other.friction_force, -one.friction_force, 1e-14)
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_a_contact_that_cannot_slide_or_is_there_twice(name: str) -> None:
     fixed = solved(name, rough_truss(0.3, 0.0, tangent=[[0.0, 0.0]]))
@@ -209,7 +209,7 @@ def test_uzawa_that_comes_no_nearer_ends() -> None:
     assert 100 < len(ended.history) < 120
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("pull", list(PULLS)[1:] + list(PULLS)[:1])
 def test_uzawa_where_contacts_rest_at_zero(pull: str) -> None:
     """Gaps of zero: a penetration relative to itself is 1 until it is the rounding of the displacements."""

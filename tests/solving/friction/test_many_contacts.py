@@ -101,6 +101,7 @@ def test_newton_factorises_the_first_combination_and_changes_it() -> None:
     assert solution.work.factorisations == 1
 
 
+@pytest.mark.slow
 def test_a_change_that_leaves_no_inverse_is_factorised_anew() -> None:
     """Two contacts of one node: the second one closes where the first is closed, and is redundant."""
     problem = pushed(0)

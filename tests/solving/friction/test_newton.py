@@ -164,6 +164,7 @@ def _chain(m: int, d: int, joints: int, coupled: int) -> LocalForm:
     )
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize(("m", "joints", "coupled"), [(20, 2, 19), (120, 0, 1), (160, 0, 1), (160, 3, 1)])
 def test_newtons_step_is_that_of_the_whole_law(m: int, joints: int, coupled: int, d: int) -> None:
@@ -250,6 +251,7 @@ def _pile(seed: int, d: int, bodies: int = 6, contacts: int = 18) -> cq.LocalPro
     return cq.LocalProblem(delassus=W, offset=u.ravel() - W @ r.ravel(), friction=0.3, dimension=d)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("seed", "d"), [(0, 2), (15, 2), (29, 2), (89, 2), (95, 2), (95, 3), (122, 3), (139, 3)])
 def test_newton_passes_over_points_from_which_no_step_lowers_the_residual(seed: int, d: int) -> None:
     """It used to end there, on contacts that depend on one another, and other algorithms had to begin anew."""

@@ -122,6 +122,7 @@ def test_redundant_contacts_without_load_share_forces_where_they_press_against_e
     assert (FORCES in judged.uniqueness) == (apart > 0)
 
 
+@pytest.mark.slow
 def test_no_radius_is_claimed_where_ties_hold_a_contact_shut_that_may_press_with_any_force() -> None:
     """Contact 1 is held by the tie; another equilibrium, with l_N = 0.73 there, is 0.144 away in the energy norm."""
     K = np.array([[33.5, -34.0], [-34.0, 35.0]])

@@ -348,7 +348,7 @@ def test_what_refinement_leaves_of_a_force_is_no_imbalance_of_a_motion() -> None
     np.testing.assert_allclose(solution.friction_force.ravel(), [2.34375, 0.0, 0.0, 28.125], rtol=1e-14)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("algorithm", [None, "nsgs"])
 @pytest.mark.parametrize(("push", "gap"), [((3.1, 0.0), 0.0), ((2.2, 2.2), 0.0), ((2.0, 0.0), 1.9)])
 def test_a_block_on_a_spring_that_friction_cannot_hold_has_no_equilibrium(

@@ -95,7 +95,7 @@ def test_a_load_that_drives_a_motion_by_rounding_only_drives_none() -> None:
     np.testing.assert_allclose(solution.displacement, u - motion * (motion @ u), atol=1e-9)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["by itself", "nsgs", "admm", "aclm, clarabel"])
 def test_a_contact_that_is_there_three_times(way: str) -> None:
     one = block(4.0 * direction(1.0))
@@ -142,6 +142,7 @@ def _held(problem: cq.ContactProblem, contacts: np.ndarray) -> cq.ContactProblem
     return problem.replace(friction=np.zeros(problem.contacts), tie=rows, tie_value=np.zeros(len(rows)))
 
 
+@pytest.mark.slow
 def test_with_enough_friction_every_contact_that_closes_is_tied() -> None:
     """mu = 1e6 against ties of the same slips; mu = 0 against no tangential rows at all."""
     rough = elastic_block((5, 4, 3), friction=1e6)

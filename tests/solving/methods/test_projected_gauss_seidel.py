@@ -22,6 +22,7 @@ def test_the_registry_entry_promises_what_the_method_does() -> None:
     assert not sweeps.sparse
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("example", [e for e in EXAMPLES if e.name != "floating"], ids=lambda example: example.name)
 def test_projected_gauss_seidel_arrives(example: Example) -> None:
     candidate = solve_projected_gauss_seidel(example.problem, Settings(tolerance=1e-12))
