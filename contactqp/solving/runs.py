@@ -382,7 +382,7 @@ class EnforcedRun(Run):
     """Coulomb friction by the method's own systems of stick and slip, in the problem's own unknowns, never polished.
 
     Raises Unsupported: two tangential directions a contact, or bodies too large to factorise; NoEquilibrium: the
-    constraints conflict; NotConverged, InvalidProblem as the method.
+    constraints conflict, or the load drives a motion that nothing holds; NotConverged, InvalidProblem as the method.
     """
 
     def __init__(
@@ -400,6 +400,7 @@ class EnforcedRun(Run):
         super().__init__(problem, method)
         assert method.solve_friction is not None
         with self.meter.running():
+            refuse_driven_motion(problem, condense(problem).rigid)
             try:
                 self.candidate = method.solve_friction(problem, settings)
             except NotConverged:

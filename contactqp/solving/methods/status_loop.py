@@ -34,6 +34,8 @@ from contactqp.solving.methods.textbook_loop import Budget, Sizes, last_candidat
 
 # The most contacts named in a message.
 MOST_NAMES = 8
+# What helps where this search, of contacts with wrong signs alone, comes to an end.
+CURE = "try active-set, which searches among all contacts"
 
 
 def status_loop(
@@ -78,7 +80,7 @@ def status_loop(
     try:
         return loop.run()
     except SingularSystem as error:
-        raise NotConverged(str(error), tuple(loop.history)) from None
+        raise NotConverged(f"{error}; {CURE}", tuple(loop.history)) from None
 
 
 class _Loop:
@@ -116,7 +118,8 @@ class _Loop:
                 reason = (
                     ""
                     if after
-                    else f"no combination of open, stick and slip is left to try that could mend {self._named(wrong)}"
+                    else f"no combination of open, stick and slip is left to try that could mend {self._named(wrong)}; "
+                    + CURE
                 )
             if after is None:
                 return self._candidate(step, reason)
