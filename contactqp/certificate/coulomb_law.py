@@ -418,24 +418,28 @@ def natural_map(force: Array, velocity: Array, friction: Vector) -> Array:
 
         n_N = (u_N - mu e) / (1 + mu^2),    n_T = u_T + |u_T| t + (e + mu u_N) t / (1 + mu^2).
     """
-    slip, slid, step = velocity[:, 1:], lengths(velocity[:, 1:]), velocity.copy()
+    given_along, slip, step = force[:, 1:], velocity[:, 1:], velocity.copy()
+    slid, given = lengths(slip), lengths(given_along)
     step[:, 0] += friction * slid
     moved = force - step
-    given, size = lengths(force[:, 1:]), lengths(moved[:, 1:])
-    t = np.divide(moved[:, 1:], size[:, None], out=np.zeros(slip.shape), where=size[:, None] > 0)
+    trial = moved[:, 1:]
+    size = lengths(trial)
+    t = trial / np.where(size > 0, size, 1.0)[:, None]
     bound = friction * force[:, 0]
-    excess = np.where(abs(given - bound) <= ON_CONE * (given + abs(bound)), 0.0, given - bound)
+    excess = given - bound
+    excess = np.where(abs(excess) <= ON_CONE * (given + abs(bound)), 0.0, excess)
     # |r_T - u_T| - |r_T| = -u_T'(2 r_T - u_T) / (|r_T - u_T| + |r_T|)
-    whole = (size + given)[:, None]
-    both = np.divide(moved[:, 1:] + force[:, 1:], whole, out=np.zeros(slip.shape), where=whole > 0)
+    whole = size + given
+    both = (trial + given_along) / np.where(whole > 0, whole, 1.0)[:, None]
     excess = excess - (both * slip).sum(axis=1) - slid
     root = np.hypot(1.0, friction)
     across, along = 1.0 / root, friction / root
+    inner, beside = across * velocity[:, 0], across * excess + along * velocity[:, 0]
     # Without friction the cone is a half line.
-    inside = (across * excess + along * velocity[:, 0] + root * slid <= 0) & (moved[:, 0] >= 0)
+    inside = (beside + root * slid <= 0) & (moved[:, 0] >= 0)
     missed = np.empty(force.shape)
-    missed[:, 0] = across * (across * velocity[:, 0] - along * excess)
-    missed[:, 1:] = slip + slid[:, None] * t + (across * (across * excess + along * velocity[:, 0]))[:, None] * t
+    missed[:, 0] = across * (inner - along * excess)
+    missed[:, 1:] = slip + slid[:, None] * t + (across * beside)[:, None] * t
     missed = np.where((friction * size <= -moved[:, 0])[:, None], force, missed)
     return np.where(inside[:, None], step, missed)
 

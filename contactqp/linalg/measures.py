@@ -1,5 +1,4 @@
-"""Compute the forces and lengths that meet at an unknown or contact, by which residuals are measured, and those that
-count as zero.
+"""Compute the forces and lengths that meet at unknowns and contacts to measure residuals, and which count as zero.
 
 Componentwise figures compare forces and lengths at one place. Where displacements decay to 1e-20 of the largest, or a
 load acts on a support, only rounding meets, which must not be compared with itself. With D_j = 1/sqrt(K_jj) and the
@@ -475,6 +474,8 @@ def lengths(vectors: Array) -> Vector:
     >>> [f"{length:.12g}" for length in lengths(np.array([[3e200, 4e200], [3e-200, 4e-200]]))]
     ['5e+200', '5e-200']
     """
+    if vectors.shape[-1] == 2:
+        return np.hypot(vectors[..., 0], vectors[..., 1])  # a reduction takes several times as long
     return abs(vectors.ravel()) if vectors.shape[-1] == 1 else np.hypot.reduce(vectors, axis=-1, initial=0.0)
 
 

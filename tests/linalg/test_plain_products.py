@@ -13,7 +13,7 @@ from contactqp.errors import BackendFailed, Unsupported
 from contactqp.linalg import pardiso
 from contactqp.linalg.influence import SlicedStiffness
 from contactqp.linalg.krylov import flexible_gmres
-from contactqp.linalg.measures import sizes_of
+from contactqp.linalg.measures import lengths, sizes_of
 from contactqp.linalg.pardiso import products
 
 needs_pardiso = pytest.mark.skipif(not pardiso.available(), reason="needs pypardiso")
@@ -140,3 +140,16 @@ def test_sums_of_many_entries_are_those_of_few(monkeypatch: pytest.MonkeyPatch) 
     assert all(np.array_equal(one, other) for one, other in zip(few, many, strict=True))
     assert few[0] == pytest.approx(rows @ u)
     assert few[2] == pytest.approx(rows.T @ force)
+
+
+@pytest.mark.parametrize("columns", [0, 1, 2, 3, 4])
+def test_lengths_are_the_same_numbers_however_many_columns_there_are(columns: int) -> None:
+    """They neither overflow nor underflow, and an infinite entry beats one that is no number, as by a reduction."""
+    rng = np.random.default_rng(columns)
+    vectors = rng.normal(size=(200, columns)) * 10.0 ** rng.integers(-300, 300, (200, columns))
+    if columns:
+        vectors[0], vectors[1], vectors[2] = np.inf, np.nan, 0.0
+        vectors[3] = [np.inf, *[np.nan] * (columns - 1)]
+    found = lengths(vectors)
+    np.testing.assert_array_equal(found, np.hypot.reduce(vectors, axis=-1, initial=0.0))
+    assert found.shape == (200,)
