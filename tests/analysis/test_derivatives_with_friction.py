@@ -148,8 +148,9 @@ def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not(border: bo
             assert sum(part > Fraction(1, 10) for part in found) >= len(found) // 20, (of, name)
 
 
-@pytest.mark.parametrize("problems", [1, pytest.param(6, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("width", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("problems", [1, 6])
+@pytest.mark.parametrize("width", [1, 2])
 def test_differences_of_answers_and_gradients(width: int, problems: int) -> None:
     """In space, too, where the directions of slip turn; with a tie, of every quantity by every parameter."""
     rng, seen, step = np.random.default_rng(9), 0, 1e-5

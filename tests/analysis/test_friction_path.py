@@ -374,7 +374,7 @@ def test_notes_stop_after_their_operations_and_say_so(friction: float, monkeypat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seeds", "steps"), [([3], 1), pytest.param(range(20), 3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seeds", "steps"), [([3], 1), (range(20), 3)])
 def test_a_path_in_doubles_has_the_events_and_forces_of_the_exact_one(seeds: Sequence[int], steps: int) -> None:
     for seed in seeds:
         problem, loads = random_body(seed)

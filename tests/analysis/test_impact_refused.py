@@ -284,7 +284,7 @@ def test_long_steps_of_a_free_body_between_walls(scheme: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::contactqp.TimeStepWarning")
-@pytest.mark.parametrize("held", [pytest.param("tie", marks=pytest.mark.slow), "contact"])
+@pytest.mark.parametrize("held", ["tie", "contact"])
 def test_what_comes_to_rest_under_a_load_that_ties_or_contacts_carry_is_right(held: str) -> None:
     """Implicit steps damp the motion until its velocities are no more than the rounding of the forces at rest."""
     K = [[9e4, -2e4, 1e4], [-2e4, 5e4, 3e3], [1e4, 3e3, 7e4]]

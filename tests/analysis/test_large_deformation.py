@@ -303,6 +303,7 @@ def test_a_foot_that_lands_while_it_moves_slides_from_where_it_lands():
     assert end(20) == pytest.approx(where, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_block_in_space_is_dragged_with_friction_that_opposes_its_slip():
     """A soft cube is pressed on a floor by its top and dragged askew until all of it slides: |l_T| = mu l_N."""
     part = Body(box((1.0, 1.0, 1.0), (2, 2, 2)), Material(1.0, 0.3), "3d", name="cube")

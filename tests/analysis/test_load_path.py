@@ -161,7 +161,7 @@ def made(request, monkeypatch):
     return sizes
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_path_of_100_steps_makes_one_factorisation(dimension, made):
     problem = block(500, dimension)

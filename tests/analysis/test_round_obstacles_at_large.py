@@ -45,6 +45,7 @@ def _pulled_over_a_quarter(links: int, pull: float) -> tuple[cq.LargeHistory, fl
     return cq.large_deformation(chain, [both, one], cylinder, steps=4, friction=mu), (1 + half) / (1 - half)
 
 
+@pytest.mark.slow
 def test_nodes_that_slid_in_an_earlier_step_may_hold_a_chain_near_its_greatest_pull() -> None:
     """Near 1.5 all nodes are at their bounds, those near the weaker end from the first leg: if all of them slid on,
     nothing would hold the chain, and no halving of the step changes that.

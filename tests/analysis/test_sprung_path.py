@@ -50,7 +50,7 @@ def test_two_masses_on_springs(method: str, options: dict[str, Any], steps: int 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [8, pytest.param(25, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [8, 25])
 @pytest.mark.parametrize(("method", "options"), SPRINGS)
 def test_two_masses_on_springs_in_steps(method: str, options: dict[str, Any], steps: int) -> None:
     history = cq.follow_path(two_masses(0.0), [WEIGHTS, pulled(12.0), WEIGHTS], steps, method=method, **options)

@@ -42,7 +42,8 @@ def guided_problem(rng: np.random.Generator) -> cq.ContactProblem:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("problems", [5, pytest.param(150, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("problems", [5, 150])
 def test_bodies_that_contacts_alone_hold_have_one_answer_where_balance_closes_contacts(problems: int) -> None:
     claimed = bounds_hold(guided_problem, np.random.default_rng(27), problems)
     assert min(claimed.values()) >= problems // 3, claimed

@@ -255,7 +255,8 @@ def on_three_supports(rough: bool, more: int = 0) -> cq.ContactProblem:
     return cq.ContactProblem(stiffness, load, stops, [0.02, 0.03], tie=held, tie_value=values, **friction)
 
 
-@pytest.mark.parametrize("rough", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("rough", [False, True])
 def test_forces_of_ties_that_hold_a_floating_body_are_forces(rough: bool) -> None:
     """Those of three supports in line may change together without a resultant."""
     problem = on_three_supports(rough)

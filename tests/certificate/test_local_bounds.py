@@ -63,6 +63,7 @@ def drawn(rng: np.random.Generator, skew: bool = False) -> tuple[Any, Any, Any]:
     return W, rng.integers(-6, 7, 2 * m), rng.choice([0.0, 0.25, 1.0, 4.0], m)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("problems", [15, pytest.param(110, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("skew", [False, True])
 def test_no_bound_is_below_the_distance_to_exact_forces(skew: bool, problems: int) -> None:

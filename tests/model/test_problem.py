@@ -144,6 +144,7 @@ def test_rows_may_be_as_small_or_as_large_as_doubles_are(stiffness: float, row: 
     assert solution.certificate.proven
 
 
+@pytest.mark.slow
 def test_a_row_may_act_on_what_is_not_elastic() -> None:
     problem = cq.ContactProblem(np.diag([0.0, 1e200]), [-1.0, 0.0], [[-1.0, 1e-150]], [1.0])
     assert problem.normal.toarray().tolist() == [[-1.0, 1e-150]]

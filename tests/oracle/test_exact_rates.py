@@ -78,7 +78,7 @@ def test_events_of_redundant_contacts_are_those_of_exact_answers(family_name: st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, 3])
 def test_linear_programs_with_many_multipliers_have_the_rates_of_exact_answers(seed: int) -> None:
     problem, rng = family("linear_programs", seed), np.random.default_rng(seed)
     solution, answer = cq.solve(problem), cq.exact(problem, enclose=False)

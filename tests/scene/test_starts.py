@@ -265,7 +265,7 @@ def reversed_wall(tmp_path: Path) -> Path:
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("command", [["run"], ["explain", "--no-solve"]])
+@pytest.mark.parametrize("command", [["explain", "--no-solve"], ["run"]])
 def test_the_command_line_warns_once_and_refuses_with_strict(
     reversed_wall: Path, capfd: pytest.CaptureFixture[str], command: list[str]
 ) -> None:

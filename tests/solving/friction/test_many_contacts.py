@@ -156,7 +156,7 @@ def test_an_equilibrium_with_another_law_of_friction_is_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cells", [160, pytest.param(320, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cells", [160, 320])
 def test_a_start_is_the_combination_of_the_load_before(cells: int) -> None:
     problem = pushed(2, cells)
     first = cq.solve(problem)

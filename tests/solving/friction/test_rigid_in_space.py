@@ -68,7 +68,7 @@ def test_answers_of_rigid_bodies_are_found_and_pass(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [66, pytest.param(368, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [66, 368])
 def test_bodies_that_wedge_themselves_are_answered_from_drawn_combinations(seed: int) -> None:
     """With friction of 64 on four of five contacts no other algorithm comes to an answer."""
     problem, *_ = planted_on_a_rigid_body(seed, (0.02, 1.0, 8.0, 64.0))
