@@ -101,10 +101,7 @@ def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
 
     After a time limit was reached, bounds that take as long again are not computed.
 
-    Raises
-    ------
-    InvalidProblem
-        K is indefinite.
+    Raises InvalidProblem: K is indefinite.
     """
     try:
         with within_time(seconds_of_unfinished()):
@@ -129,8 +126,7 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     found, untold = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
-    # If K is regular, forces are compared by the response of the untied bodies to their difference, with and without
-    # ties.
+    # If K is regular, forces are compared by the response of the untied bodies to them, with and without ties.
     change = extend(start.normal_force) - state.answer.normal_force, extend(start.tie_force) - state.answer.tie_force
     felt = []
     for push, held in ((state.answer.normal_force, state.answer.tie_force), change):
@@ -138,9 +134,10 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         tied = problem.tie.T @ (held.double() * scaling.force / scaling.ties)
         felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
     (size, whole), (missed, missed_by_all) = felt
-    # Without contact forces, those of ties are compared directly.
     error = max(_relative(missed + untold, size), _relative(missed_by_all + untold, whole if size > 0 else 0.0))
-    return replace(found, force_error=error, force_scale=size)
+    alone = found.force_error if problem.ties else 0.0  # what nearly parallel ties share otherwise strains nothing
+    ties = alone * (found.force_scale or 1.0), found.force_scale
+    return replace(found, force_error=max(error, alone if size > 0 else 0.0), force_scale=size, ties=ties)
 
 
 def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
@@ -189,12 +186,12 @@ def _from_solution(
     rounded = max(EPS * min(works), REACH * least * least)
     by_residual, by_strain, back = _force_errors(problem, held) if unique.forces else (np.zeros(1), np.zeros(1), 0.0)
     by_strain, untold = by_strain * max(by_energy := float(np.sqrt(8 * wide)), TINY), by_energy + back
-    bounded = unique.forces and bool(np.all(np.isfinite(by_residual + by_strain)))
+    bounded = unique.forces and bool(np.all(np.isfinite(by_residual)) and np.all(np.isfinite(by_strain)))
     missed, error = missed + (float(np.linalg.norm(by_residual)) if bounded else 0.0), distance + untold
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    own = abs(change) + by_residual
+    own = abs(change) + by_residual[: problem.contacts]
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
@@ -220,7 +217,7 @@ def _from_solution(
 
 
 def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, Vector, float]:
-    """Bound the distance of the contacts' forces from the true ones [force], and that of U by rows it does not meet.
+    """Bound the distance of all forces from the true ones [force], and that of U by rows it does not meet.
 
     Let v_i move row i by one and no other row that is closed or touches by rounding. Then U + s, s = sum c_j v_j, with
     c_j what U leaves of row j, or its penetration without a force, is admissible, and |U - u*|_K <= d + b with d that
@@ -229,13 +226,14 @@ def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, V
         |L_i - L*_i| <= |r|'|v_i| + |v_i|_K |U - u*|_K
 
     Both are negligible relative to the largest forces and strain, but may not be on soft parts or where rows are nearly
-    dependent. Returned are |r|'|v| + |v|_K b (m,), |v|_K (m,), CAUTION times both, and b.
+    dependent. Returned are |r|'|v| + |v|_K b (m + k,), |v|_K (m,), CAUTION times both, and b.
     """
-    found, (left, gap, tie) = np.zeros((problem.contacts, 2)), held.left.double(np.arange(problem.contacts))
+    (left, gap, tie), m = held.left.double(np.arange(problem.contacts)), problem.contacts
+    found = np.zeros((m + problem.ties, 2))
     length = row_sizes(problem, problem.normal).lengths(abs(held.answer.displacement.double())) + abs(problem.gap)
     closed = np.flatnonzero(held.closed | (gap <= WITHIN_ROUNDING * length))
-    if not len(closed):
-        return found[:, 0], found[:, 1], 0.0
+    if not len(closed) + problem.ties:
+        return found[:, 0], found[:m, 1], 0.0
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
     missed = np.append(np.where(held.closed, gap, np.minimum(gap, 0.0))[closed], tie)
     residual, taken, moved = abs(left), np.zeros((rows.shape[0], 2)), np.zeros(problem.dimension)
@@ -249,9 +247,9 @@ def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, V
     taken[others], moved[free] = _taken_by(*together)
     here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown])])
     taken[alone] = (here + abs(beside).T @ taken[others]) / abs(entries)[:, None]
-    found[closed] = CAUTION * taken[: len(closed)]
+    found[np.append(closed, np.arange(m, len(found)))] = CAUTION * taken
     back = 2 * sum(energy_norm(problem, moved))
-    return found[:, 0] + (back * found[:, 1] if back > 0 else 0.0), found[:, 1], back
+    return found[:, 0] + (back * found[:, 1] if back > 0 else 0.0), found[:m, 1], back
 
 
 def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.bounds import error_failures
+from contactqp.certificate.energy_bounds import energy_bounds
+from contactqp.model.solution import Answer
 
 
 @pytest.mark.sampled(5)
@@ -180,3 +183,26 @@ def test_forces_that_nearly_parallel_ties_share_otherwise_are_refused(stiffness:
     assert cq.solve(problem).tie_force == pytest.approx(held, rel=1e-6)
     for change in (0.125, 1e-3, -1e-3):
         assert not cq.certify(problem, u, [0.0], tie_force=held + change * np.array([1.0, -1.0])).passed
+
+
+@pytest.mark.parametrize("loose", [0, 1])
+@pytest.mark.parametrize("exponent", [20, 24, 27])
+def test_forces_of_nearly_parallel_ties_are_compared_by_energies_too(exponent: int, loose: int) -> None:
+    """On sparse systems, and where an unknown has no stiffness: what the ties share otherwise strains nothing."""
+    size = 8
+    K = 784.0 * np.eye(size) - 2.0 * (np.eye(size, k=1) + np.eye(size, k=-1))
+    K[:loose], K[:, :loose] = 0.0, 0.0
+    rows, tie = np.zeros((2, size)), np.zeros((2, size))
+    rows[0, 6] = rows[1, 1] = 1.0
+    tie[:, :5] = 0.5, 1.0, -1.0, 0.5, 1.0
+    tie[1, 4] += 2.0**-exponent
+    u, pressed, held = np.linspace(-0.5, 0.375, size), np.array([0.3125, 0.0]), np.array([0.25, 0.75])
+    problem = cq.ContactProblem(
+        K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u + np.array([0.0, 0.5]), tie=tie, tie_value=tie @ u
+    )
+    for change in (0.0, 1e-8, 0.1, -0.1, 1e-3):
+        shared = held + change * np.array([1.0, -1.0])
+        found = energy_bounds(problem, Answer(u, pressed, None, shared))
+        assert found.proven
+        assert any(error_failures(found, 1e-6, 0.0)) is (abs(change) > 1e-6)
+        assert cq.certify(problem, u, pressed, tie_force=shared).passed is (abs(change) < 1e-6)
