@@ -100,8 +100,8 @@ VANISHING = 1e-22  # errors with an energy norm below this part of the displacem
 CORRECTIONS, LAST_CORRECTIONS = 3, 50  # of each possible set of the candidate, and of the first one after all fail
 NEXT_TO_NOTHING = 1e-12  # forces below this part of the displacement's energy norm have absolute errors, and vice versa
 STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid part may be due to rounding of K
-# Why forces of single contacts have no bound although their resultants have one.
-REDUNDANT = "the closed contacts and ties are redundant, and the force of each one of them has no bound"
+# Why forces that contacts and ties share have no bound although their resultants have one.
+REDUNDANT = "the closed contacts and ties are redundant, and forces that they share have no bound"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
 LARGEST = 8000  # the most condensed unknowns for the dense systems of the bounds
 
