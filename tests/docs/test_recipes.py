@@ -52,7 +52,7 @@ def test_there_is_a_recipe_of_every_code() -> None:
     ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize(("name", "needed", "text"), recipes(), ids=[name for name, _, _ in recipes()])
 def test_recipe(name: str, needed: str, text: str, tmp_path: Path) -> None:
     compile(text, name, "exec")

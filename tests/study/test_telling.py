@@ -260,6 +260,7 @@ def _write(folder: Path, **options: Any) -> report.ReportResult:
     return report.write_report(cases, folder, methods=methods, running=Running(jobs=0), brief=True, **options)
 
 
+@pytest.mark.slow
 def test_the_page_is_there_from_the_beginning_and_grows(pages: _Pages, tmp_path: Path) -> None:
     result = _write(tmp_path)
     assert pages.running[0] == "it has begun"
