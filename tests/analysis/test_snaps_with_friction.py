@@ -9,7 +9,8 @@ import contactqp as cq
 from tests.analysis.arches import RISE, arch, arch_load, node_over
 
 
-@pytest.mark.parametrize("steps", [3, 10, pytest.param(160, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [3, 10, 160])
 def test_an_arch_that_snaps_onto_a_rough_floor_is_found_and_told_in_any_number_of_steps(steps: int) -> None:
     """Full steps of Newton's method, as friction takes them, go through the jump by chance alone."""
     floor = node_over(cq.Plane([0.0, -RISE / 2], [0.0, 1.0]))
