@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, ExtendedMatrix, ExtendedRows, extended_rows
-from contactqp.linalg.factorization import SuperLU
+from contactqp.linalg.factorization import solved_between_diagonals
 from contactqp.linalg.pardiso import elimination_order
 from contactqp.model.arrays import EPS, Array, Index, Indices, Mask, Vector
 from contactqp.model.computed import Computed
@@ -224,10 +224,10 @@ def _units_of_programs(problem: ContactProblem) -> tuple[Array, Array]:
     of_K = np.log2(np.where(stiff, problem.diagonal, 1.0))
     of_unknowns = 4.0 * stiff + np.bincount(E.col, minlength=n), 2.0 * of_K + np.bincount(E.col, of_E, n)
     of_rows = np.bincount(E.row, minlength=m), np.bincount(E.row, of_E, m)
-    entries, logs = (np.concatenate(both) for both in zip(of_unknowns, of_rows, strict=True))
     pattern = sp.csc_matrix((np.ones(E.nnz), (E.col, E.row)), shape=(n, m))
-    matrix = sp.bmat([[None, pattern], [pattern.T, None]], format="csc") + sp.diags(entries + HARDLY_GIVEN)
-    d, r = np.split(np.exp2(-SuperLU(matrix).solve(logs)), [n])
+    D, R = (np.asarray(entries, dtype=float) + HARDLY_GIVEN for entries in (of_unknowns[0], of_rows[0]))
+    logs = np.concatenate([of_unknowns[1], of_rows[1]], dtype=float)
+    d, r = np.split(np.exp2(-solved_between_diagonals((D, R), pattern, logs)), [n])
     return d, r
 
 

@@ -30,24 +30,19 @@ SOFT = 1e-10
 # of the pattern of A + A' that keeps the factors sparse.
 DIAGONAL_PIVOTS: dict[str, Any] = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 MINIMUM_DEGREE = "MMD_AT_PLUS_A"
-# The drop tolerance of an incomplete factorisation, with a unit diagonal.
-DROPPED = 1e-3
+DROPPED = 1e-3  # the drop tolerance of an incomplete factorisation, with a unit diagonal
 # For a rigid motion z, rounding of K gives |K z| of a few eps of |K||z| at each unknown, and an energy, by alternating
 # signs, of at most one eps of |z|'|K||z|.
 RIGID_FORCE = 32 * EPS
 RIGID_ENERGY = EPS
 # The most steps of conjugate gradients that distribute forces over a body, and their tolerance relative to |K||z|.
 SPREADING, SPREAD = 30, RIGID_FORCE / 4
-# The number of nodes retained in a body that may float; three that are not collinear fix it.
-FAR_APART = 4
-# Further unknowns are retained for motions, with largest entry one, that are fixed by less than this part of one, or of
-# the best fixed one.
+FAR_APART = 4  # the nodes retained in a body that may float; three that are not collinear fix it
+# Motions, their largest entry one, that less than this part of it or of the best fixed one fixes retain more unknowns.
 HARDLY_HELD = 1e-4
-# With floats of 64 binary digits, sums of this many terms are accurate to half an eps of the sum of sizes, which
-# suffices for tests against rounding of doubles, in a third of the time.
+# With floats of 64 binary digits, sums of this many terms are accurate to half an eps of sizes, in a third of the time.
 SHORT = 2**11
-# The number of entries of K converted to such floats at a time.
-ENTRIES_AT_ONCE = 2**20
+ENTRIES_AT_ONCE = 2**20  # of K converted to such floats at a time
 
 
 class SuperLU:
@@ -70,6 +65,19 @@ class SuperLU:
 
     def solve(self, right: Array) -> Array:
         return np.asarray((self._factor.solve((right.T * self._scale).T).T * self._scale).T)
+
+
+def solved_between_diagonals(diagonals: tuple[Array, Array], coupling: Any, right: Array) -> Array:
+    """Return the solution (n + m,) of [D P; P' R] x = b with diagonals D (n,) and R (m,) and a sparse P (n, m)."""
+    (first, second), (n, m) = diagonals, coupling.shape
+    if 4 * coupling.nnz < n * m:
+        matrix = sp.bmat([[sp.diags(first), coupling], [coupling.T, sp.diags(second)]], format="csc")
+        return SuperLU(matrix).solve(right)
+    if m < n:  # the longer side is eliminated
+        return np.roll(solved_between_diagonals((second, first), coupling.T, np.roll(right, m)), n)
+    P = coupling.toarray()
+    x = np.linalg.solve(np.diag(first) - (P / second) @ P.T, right[:n] - P @ (right[n:] / second))
+    return np.append(x, (right[n:] - P.T @ x) / second)
 
 
 def fill_reducing_order(matrix: Any) -> Indices:
