@@ -366,11 +366,11 @@ def solved_from(
         As in `settled`.
     claimed : whether the answer is more than a guess, of which nothing but its closed contacts is tried
     """
-    if not claimed:
+    if claimed:
+        state = settled(problem, answer, effort, driven)
+    else:
         state = nearest_state(problem, _closed_in(problem, answer), ExtendedAnswer.of(answer), effort)
-        if not state.holds:
-            return state
-    return without_conflict(refined(settled(problem, answer, effort, driven), effort), effort)
+    return without_conflict(refined(state, effort), effort) if claimed or state.holds else state
 
 
 def sharpened(problem: ContactProblem, answer: Answer, effort: Effort) -> CentralPoint:

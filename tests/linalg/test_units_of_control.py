@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.linalg import least_norm
+from contactqp.linalg import interior_point, least_norm
 from contactqp.linalg.equilibration import _units_of_bodies, _units_of_programs, equilibrated
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.factorization import solved_between_diagonals
@@ -156,3 +156,16 @@ def test_dense_factors_of_the_shorter_side_solve_a_matrix_between_diagonals(monk
         x = random.integers(-9, 9, n + m).astype(float)
         right = np.block([[np.diag(D), P], [P.T, np.diag(R)]]) @ x
         assert solved_between_diagonals((D, R), sp.csc_array(P), right) == pytest.approx(x, abs=1e-12)
+
+
+def test_the_guess_of_a_backend_that_holds_is_settled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All changes of its contacts were made twice, with a factorisation each: half of the time of dense programs."""
+    twin, scaling = equilibrated(minimum_cut(3, np.arange(1.0, 13.0)))
+    answer, calls = (
+        scaling.scale(find("clarabel").solve(minimum_cut(3, np.arange(1.0, 13.0)), Settings(1e-9)).answer),
+        [],
+    )
+    settled = interior_point.nearest_state
+    monkeypatch.setattr(interior_point, "nearest_state", lambda *given: calls.append(1) or settled(*given))
+    assert interior_point.solved_from(twin, answer, Effort(), claimed=False).holds
+    assert len(calls) == 1
