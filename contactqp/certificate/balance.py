@@ -22,6 +22,7 @@ from contactqp.certificate.figures import (
     without_part_along,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
+from contactqp.linalg.convexity import RESISTED
 from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
@@ -46,8 +47,6 @@ from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 FORMED = 8
 # The largest contact forces by rounding of K, in multiples of one sample.
 PUSHED_BY_ROUNDING = 8.0
-# Relative forces K z of rigid motions above which a real resistance is possible.
-RESISTED = 1e-9
 # Advice if rounding of K causes forces of rigid motions, which redundant contacts share arbitrarily.
 STATE_MOTIONS = ", by the rounding of K along rigid motions: give the motions as near_null_space, which are exact"
 # The message where that resistance matters; the forces it makes are a part of all forces along the motions.

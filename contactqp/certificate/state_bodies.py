@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from contactqp.certificate import messages
-from contactqp.certificate.balance import PUSHED_BY_ROUNDING, RESISTED
+from contactqp.certificate.balance import PUSHED_BY_ROUNDING
 from contactqp.certificate.bounds import Bounds, error_bounds, error_failures, force_bound_fails
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
+from contactqp.linalg.convexity import RESISTED, StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
 from contactqp.linalg.delassus import (
     ContactCompliance,
     RefinedForces,

@@ -1,6 +1,6 @@
 """Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
-precision, and whether rows of constraints are independent, or contradict each other by rounding;
-equations of many such rows.
+precision, whether rows of constraints are independent, or contradict each other by rounding, and what rounding of K
+makes of rigid motions; equations of many such rows.
 """
 
 from __future__ import annotations
@@ -16,21 +16,25 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.dense import DENSE_SIZE, Condensed, SaddlePoint
+from contactqp.linalg.dense import BALANCED, DENSE_SIZE, Condensed, RigidMotions, SaddlePoint
 from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
-from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, that_move
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, outer_forces, ratio
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 # The most contacts and ties whose overlap is looked for in rational numbers, and why nothing is claimed with one.
 MOST_ROWS, DECIDED = 60, "what rounding of the data decides is not proven"
 # The relative rounding of a motion that is computed in doubles, and of a row's sum over it.
 ROUNDED_SUM = Fraction(256 * EPS)
+# Relative forces K z of rigid motions above which a real resistance is possible.
+RESISTED = 1e-9
 # Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
 # The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
@@ -422,3 +426,60 @@ def _sum_of(entries: Vector, motion: list[Fraction], unknowns: Any) -> Fraction:
     terms = [Fraction(float(x)) * motion[j] for x, j in zip(entries, unknowns, strict=True)]
     total = sum(terms, Fraction(0))
     return total if abs(total) > ROUNDED_SUM * sum(map(abs, terms)) else Fraction(0)
+
+
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, nothing: float = 0.0) -> float:
+    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
+
+    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces. Motions on which no forces
+    act but some below `nothing` are in balance.
+
+    Parameters
+    ----------
+    problem, answer : whose outer forces these are
+    rigid : the rigid motions of the bodies
+    nothing : a force in the scale of the stiffness [square root of energy]
+    """
+    rows = extended_rows(problem)
+    if not rigid.count:
+        return 0.0
+    motions = that_move(problem, rigid.motions)
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
+    size = abs(motions).T @ outer_forces(problem, answer)
+    acting = size > abs(motions).T @ (nothing * np.sqrt(problem.diagonal))
+    return float(np.max(ratio(np.where(acting, abs(missed), 0.0), size)))
+
+
+def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """Return K z of rigid motions by rounding of K, relative to the outer forces.
+
+    Of motions that are not stated it is only what may be a resistance: what is more than `RESISTED`, else 0.
+    """
+    if not rigid.count:
+        return 0.0
+    moved = rigid.motions @ rigid.coordinates(answer.displacement, problem.diagonal)
+    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ extend(moved)).double())
+    size = _largest_outer_force(problem, answer)
+    made = float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
+    return made if problem.near_null_space is not None or made > RESISTED else 0.0
+
+
+def of_acting_forces(problem: ContactProblem, answer: Answer, rigid: RigidMotions, missed: float) -> float:
+    """Return the imbalance, of which `missed` is the largest, where more than rounding of other bodies' forces acts.
+
+    A body that others carry along has no forces but those that rounding of K makes.
+
+    Parameters
+    ----------
+    problem, answer, rigid : as in `imbalance`
+    missed : the result where motions are stated, which are exact
+    """
+    if problem.near_null_space is not None:
+        return missed
+    beside = imbalance(problem, answer, rigid, NOTHING_BY_DEFAULT * _largest_outer_force(problem, answer))
+    return max(beside, made_of_motions(problem, answer, rigid), BALANCED)
+
+
+def _largest_outer_force(problem: ContactProblem, answer: Answer) -> float:
+    return float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))

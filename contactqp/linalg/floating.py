@@ -25,17 +25,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, RigidMotions, orthonormal
+from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
-from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.krylov import ConstrainedRows, Processes
-from contactqp.linalg.measures import largest_of_bodies, outer_forces, ratio, reciprocal
+from contactqp.linalg.measures import largest_of_bodies, reciprocal
 from contactqp.linalg.nonnegative import shift_within_gaps
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
 
 # A unit motion is not resisted by unit rows whose products with it are below this.
 UNRESISTED = 1e-9
@@ -285,30 +283,6 @@ def that_move(problem: ContactProblem, motions: Array) -> Array:
     for size in (sizes, np.sqrt(problem.diagonal) * sizes):
         still &= size <= STANDS_STILL * largest_of_bodies(problem, size)
     return np.where(still[:, None], 0.0, motions) if np.any(still & (sizes > 0)) else motions
-
-
-def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
-
-    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces.
-    """
-    rows = extended_rows(problem)
-    if not rigid.count:
-        return 0.0
-    motions = that_move(problem, rigid.motions)
-    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
-    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
-    return float(np.max(ratio(abs(missed), abs(motions).T @ outer_forces(problem, answer))))
-
-
-def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """Return K z of stated rigid motions by rounding of K, relative to the outer forces, zero without such motions."""
-    if problem.near_null_space is None or not rigid.count:
-        return 0.0
-    moved = rigid.motions @ rigid.coordinates(answer.displacement, problem.diagonal)
-    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ extend(moved)).double())
-    size = float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))
-    return float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
 
 
 def as_stated(problem: ContactProblem, motions: Array) -> tuple[Array, Mask]:

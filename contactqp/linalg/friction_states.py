@@ -22,6 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import imbalance, made_of_motions, of_acting_forces
 from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips
 from contactqp.linalg.dense import BALANCED, REGULAR
 from contactqp.linalg.extended import (
@@ -34,7 +35,7 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED, imbalance, independent_rows, made_of_motions
+from contactqp.linalg.floating import UNRESISTED, independent_rows
 from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
@@ -314,7 +315,7 @@ def refined_in(
         if (missed := max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid))) <= BALANCED:
             return found
     found = refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
-    return found if cleared else replace(found, cleared=missed)
+    return found if cleared else replace(found, cleared=of_acting_forces(problem, answer, rigid, missed))
 
 
 def refined_by(
@@ -460,9 +461,8 @@ def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answ
 
     Parameters
     ----------
-    problem : ContactProblem
+    problem, rows : ContactProblem, ScaledRows
     scale : (n,) array, the scale of the unknowns
-    rows : ScaledRows
     answer, start : what refinement came to, and where it began
     """
     far = float(abs(problem.load * scale).max(initial=0.0))

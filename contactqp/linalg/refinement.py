@@ -12,18 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import imbalance, made_of_motions, of_acting_forces
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
-from contactqp.linalg.floating import UNRESISTED, imbalance, made_of_motions
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
-from contactqp.linalg.measures import (
-    forces_that_meet,
-    lengths_that_meet,
-    longest_stated,
-    own_compliance,
-    row_sizes,
-)
+from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import forces_without_tension
 from contactqp.model.arrays import EPS, Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
@@ -105,7 +100,7 @@ def answer_on(
     if missed <= BALANCED:
         return found
     again = _refined(problem, condensation, closed, start, None, caution, at_rest, cleared=True)
-    return replace(again, cleared=missed)
+    return replace(again, cleared=of_acting_forces(problem, found.doubles, condensation.rigid, missed))
 
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:

@@ -351,3 +351,38 @@ def test_the_rounding_of_a_stiffness_along_a_large_rigid_motion_takes_nothing_fr
     at = truth - truth[0] + stopped.gap[0]
     certificate = cq.certify(stopped, at + strain - strain[0], [0.0])
     assert certificate.energy_error >= error * (1 - 1e-5)
+
+
+def test_a_body_that_others_carry_along_by_a_tie_leaves_the_bounds() -> None:
+    """A bar, pulled against a wall behind a gap, carries a chain on a hinge; rounding of K is all that loads the chain.
+
+    That was taken for all of the forces there, and no bound was claimed: of a frame with a hinge in most directions.
+    """
+    first, second = 1.1586165330508720e-3, 8.3246273244156168e-4
+    K = np.zeros((4, 4))
+    K[0, 0] = 1e-3
+    K[1:, 1:] = [[first, -first, 0.0], [-first, first + second, -second], [0.0, -second, second]]
+    assert np.any(K[1:, 1:].sum(axis=1) != 0)
+    wall, hinge = np.eye(1, 4), np.array([[1.0, -1.0, 0.0, 0.0]])
+    problem = cq.ContactProblem(K, [0.2, 0.0, 0.0, 0.0], wall, [142.0], tie=hinge, tie_value=[0.0])
+    found = cq.solve(problem)
+    assert found.normal_force == pytest.approx([0.2 - 0.142], rel=1e-12)
+    assert found.certificate.proven, found.certificate
+    assert found.certificate.force_bound <= 1e-12
+
+
+@pytest.mark.parametrize(("load", "proven"), [(1e-3, False), (1e12, True)])
+def test_a_pushed_body_whose_stiffness_may_be_rounding_is_proven_beside_far_larger_forces_only(
+    load: float, proven: bool
+) -> None:
+    """A chain of 1e10 on a spring of two units of its last digit is pushed aside by 1: 3.8e-6 or nothing holds it."""
+    K = np.diag([1e5, 1e10, 1e10])
+    K[1, 2] = K[2, 1] = -1e10
+    K[1, 1] += 4e-6
+    held = K[1, 1] - 1e10
+    rows, gap = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), [0.0, -1.0]
+    problem = cq.ContactProblem(K, [load, 0.0, 0.0], rows, gap)
+    found = cq.solve(problem)
+    assert found.certificate.passed
+    assert found.certificate.proven == proven
+    assert (abs(found.normal_force - [load, held]).max() <= 1e-9 * load) == proven
