@@ -339,7 +339,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     # So does a strain that is negligible beside that of contact forces, which the load balances directly.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     elastic = problem.diagonal.any()  # otherwise all energy norms are zero
-    tied = problem.ties > 0 and size == 0  # they may take what a nearly parallel contact presses in truth
+    tied = problem.ties > 0 and scale == 0  # they may take what a nearly parallel contact presses in truth
     felt = own_forces(problem, push, pair.tie_force.double()) if tied else own * abs(push)
     largest = float(np.max(felt, initial=0.0)) if floats or tied or scale > 0 else 0.0
     shared, of_shared, sure = np.zeros(problem.contacts), 0.0, True

@@ -206,3 +206,17 @@ def test_forces_of_nearly_parallel_ties_are_compared_by_energies_too(exponent: i
         assert found.proven
         assert any(error_failures(found, 1e-6, 0.0)) is (abs(change) > 1e-6)
         assert cq.certify(problem, u, pressed, tie_force=shared).passed is (abs(change) < 1e-6)
+
+
+def test_a_force_that_a_tie_holds_is_compared_with_that_of_the_tie_beside_a_large_strain() -> None:
+    """The tied bodies feel less of it than 1e-12 of what a load strains, and it had been compared with nothing."""
+    K, tie, rows = (
+        np.diag([2.0**21, 2.0**20, 2.0**21]),
+        np.array([[0.0, 0.0, 1.0]]),
+        np.array([[0.0, -(2.0**-27), -1.0]]),
+    )
+    u, pressed, held = np.array([1.25, 0.25, 0.125]), np.array([0.0703125]), np.array([0.625])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    assert cq.certify(problem, u, pressed, tie_force=held).proven
+    assert cq.solve(problem).normal_force == pytest.approx(pressed, rel=1e-5)
+    assert not cq.certify(problem, u, 1.001 * pressed, tie_force=held).passed
