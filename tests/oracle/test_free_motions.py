@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 from dataclasses import replace
 from fractions import Fraction as F
 
@@ -109,3 +110,19 @@ def test_rows_that_oppose_each_other_along_free_motions_alone_block_them_too() -
     assert cq.solve(problem).displacement == pytest.approx([-1.0, -1.0], rel=1e-14)
     assert not cq.solve(problem).free_motions
     assert not cq.exact(problem).free_motions
+
+
+@pytest.mark.slow
+def test_what_is_refused_of_a_held_stack_comes_with_the_answer_of_the_free_one(tmp_path: pathlib.Path) -> None:
+    """A block a hundred million times as stiff as the others: no enclosure, and three ties less than the held stack."""
+    text = (CASES / "stacked_blocks.toml").read_text()
+    head, upper = text.rsplit("[[bodies]]", 1)
+    upper = re.sub(r'modulus = "[^"]*"', 'modulus = "2147483647 GPa"', upper, count=1)
+    file = tmp_path / "stack.toml"
+    file.write_text(f"{head}[[bodies]]{upper}")
+    scene = cq.load_scene(file)
+    with pytest.raises((cq.NotCertified, cq.NotConverged)) as refused:
+        cq.exact(scene, enclose=True)
+    assert refused.value.solution.tie_force.shape == (0,)
+    with pytest.raises(cq.ContactQPError):
+        cq.exact(scene)

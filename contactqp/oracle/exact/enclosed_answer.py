@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from contactqp.errors import NoEquilibrium, NotCertified, Unsupported
+from contactqp.errors import NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.iteration import factors_are_dear, factors_take
 from contactqp.model.arrays import EPS, Indices, tell
 from contactqp.model.problem import ContactProblem
@@ -280,16 +280,30 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
     except NoEquilibrium as error:
         raise NoEquilibrium(f"{error} (checked in sums of floats in extended precision)", error.proof) from None
     if held is not None:
-        try:
-            refined = refine(held.problem, asked.method, **asked.options)
-        except NoEquilibrium as error:  # this problem has an answer, though the held one has not
-            text = f"exact: free motions that are held where floats leave them miss contacts that just touch: {error}"
-            raise NotCertified(text, held.free) from None
-    assert refined is not None
-    found = enclose(refined)
+        refined, found = _held_enclosure(held, asked)
+    else:
+        assert refined is not None
+        found = enclose(refined)
     notes = symmetrised(problem)
     notes += () if held is None else (carried(held, refined, found.tie_force),)
     return _answer(asked, found, first.free_motions, notes)
+
+
+def _held_enclosure(held: Held, asked: Asked) -> tuple[Refined, Enclosure]:
+    """Return the answer of a problem whose free motions are held, refined and enclosed.
+
+    Raises NotCertified, NotConverged: as `prove_by_enclosure`, with the answer of the free problem.
+    """
+    try:
+        refined = refine(held.problem, asked.method, **asked.options)
+        return refined, enclose(refined)
+    except NoEquilibrium as error:  # the free problem has an answer, though the held one has not
+        text = f"exact: free motions that are held where floats leave them miss contacts that just touch: {error}"
+        raise NotCertified(text, held.free) from None
+    except NotCertified as error:
+        raise NotCertified(str(error), held.free) from error
+    except NotConverged as error:
+        raise NotConverged(str(error), solution=held.free) from error
 
 
 def _answer(asked: Asked, found: Enclosure, motions: tuple[FreeMotion, ...], notes: tuple[str, ...]) -> ExactSolution:
