@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from contactqp.elements.obstacle import RELATIVE_STEP, Obstacle, Plane, tangent_frames
-from contactqp.elements.pairing import paired
+from contactqp.elements.pairing import paired, unknowns_of_surfaces
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
 from contactqp.elements.scalars import real_array, real_number, real_vector, unit_vector
 from contactqp.elements.surface import Surface
@@ -264,7 +264,7 @@ class ObstacleContact(ReadOnly):
     unknowns : (p, d) array of int, optional
         unknowns[i, a] is the index in u of node i's displacement along axis a. By default u is (p d,), node by node.
     dimension : int, optional
-        n, the number of all unknowns; by default one more than the largest in `unknowns`.
+        n, the number of all unknowns; by default that of the surface, or one more than the largest in `unknowns`.
 
     Raises
     ------
@@ -286,6 +286,7 @@ class ObstacleContact(ReadOnly):
             if self.unknowns is not None:
                 raise InvalidProblem(f"{self.points.name}: expected no `unknowns`, the surface has its own")
             nodes = self.points.nodes
+            object.__setattr__(self, "dimension", unknowns_of_surfaces(self.dimension, self.points))
             object.__setattr__(self, "unknowns", self.points.unknowns[nodes])
             object.__setattr__(self, "points", self.points.points[nodes])
         found = paired(self.points, self.obstacle, self.unknowns, self.dimension)

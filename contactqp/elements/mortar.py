@@ -9,7 +9,7 @@ import numpy as np
 from contactqp.elements.mortar_segments import Integrals, integrate, joined, segments
 from contactqp.elements.nodal_pressure import faceting_notes, from_areas, tributary_areas
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.pairing import Pairing, contact_rows, unknowns_of_surfaces
 from contactqp.elements.surface import (
     OVERLAP,
     Surface,
@@ -69,7 +69,7 @@ def pair_mortar(
     overlap : float, optional
         How deep the bodies may overlap at the start [length]; default: 0.05 of the slave facet's diameter.
     dimension : int, optional
-        n, the number of all unknowns; by default one more than the largest of both surfaces.
+        n, the number of all unknowns; by default the largest number that is known of both surfaces.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def pair_mortar(
             )
     check_apart(slave, master)
     check_distances(reach, overlap)
-    n = count_unknowns(max(int(slave.unknowns.max()), int(master.unknowns.max())), dimension)
+    n = unknowns_of_surfaces(dimension, slave, master)
     covers = _covers(slave, master, reach)
     if reach is None and not len(covers.slave):
         raise InvalidProblem(

@@ -22,7 +22,7 @@ from contactqp.elements.nodal_pressure import (
     tributary_areas,
 )
 from contactqp.elements.obstacle import tangent_frames
-from contactqp.elements.pairing import Pairing, contact_rows, count_unknowns
+from contactqp.elements.pairing import Pairing, contact_rows, unknowns_of_surfaces
 from contactqp.elements.surface import (
     OVERLAP,
     FacetKind,
@@ -361,7 +361,7 @@ def pair_node_to_segment(
         How deep a slave node may be inside the master body at the start [length]; default: 0.05 of the diameter of
         the facet it meets.
     dimension : int, optional
-        n, the number of all unknowns; by default one more than the largest of both surfaces.
+        n, the number of all unknowns; by default the largest number that is known of both surfaces.
 
     Returns
     -------
@@ -379,8 +379,7 @@ def pair_node_to_segment(
     check_surface(master)
     check_apart(slave, master)
     check_distances(reach, overlap)
-    largest = max(int(slave.unknowns.max()), int(master.unknowns.max()))
-    n = count_unknowns(largest, dimension)
+    n = unknowns_of_surfaces(dimension, slave, master)
     nodes = slave.nodes
     points = slave.points[nodes]
     partners = nearest_facets(points, node_normals(slave), master, reach)

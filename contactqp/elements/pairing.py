@@ -190,7 +190,7 @@ def pair(
     unknowns : (p, d) array of int, optional
         unknowns[i, a] is the place of node i's displacement along axis a in u. By default u is (p d,), node by node.
     dimension : int, optional
-        n, the number of all unknowns; by default one more than the largest in `unknowns`.
+        n, the number of all unknowns; by default that of the surface, or one more than the largest in `unknowns`.
 
     Returns
     -------
@@ -259,7 +259,7 @@ def _pair_surface(surface: Surface, obstacle: Obstacle, unknowns: ArrayLike | No
     check_surface(surface)
     nodes = surface.nodes
     x = _points(surface.points[nodes], obstacle)
-    n = count_unknowns(int(surface.unknowns.max()), dimension)
+    n = unknowns_of_surfaces(dimension, surface)
     found = _pair_points(x, surface.unknowns[nodes], obstacle, n, nodes)
     return replace(found, area=tributary_areas(surface), projection=nodal_pressure(surface, nodes))
 
@@ -387,6 +387,16 @@ def _sum(entries: tuple[Array, Index, Index], shape: tuple[int, int]) -> Any:
     matrix = sp.csr_array(sp.coo_array((values, (rows, columns)), shape=shape))
     matrix.eliminate_zeros()
     return matrix
+
+
+def unknowns_of_surfaces(dimension: int | None, *surfaces: Surface) -> int:
+    """Return n: as stated, else the largest that is known of a surface.
+
+    Raises InvalidProblem as `count_unknowns`.
+    """
+    largest = max(int(surface.unknowns.max()) for surface in surfaces)
+    known = [surface.unknown_count - 1 for surface in surfaces if surface.unknown_count is not None]
+    return count_unknowns(max(largest, *known) if dimension is None and known else largest, dimension)
 
 
 def count_unknowns(largest: int, dimension: int | None) -> int:

@@ -117,7 +117,7 @@ class Structure:
 
     def surface(self, body: str, side: str) -> Surface:
         """Return a side of a body, numbered in the u of the structure."""
-        return self.solid(body).surface(side, first=self.first(body))
+        return replace(self.solid(body).surface(side, first=self.first(body)), unknown_count=self.size)
 
     def mass(self, lumped: bool = False) -> Any:
         """Return M of all unknowns, (n, n) CSR [force time^2 / length], consistent or lumped onto the nodes.

@@ -54,6 +54,8 @@ class Surface(ReadOnly):
         Of a plane body [length]: forces are for all of it. With 1 they are per unit thickness.
     revolved : bool
         The surface of an axisymmetric body, about x = 0: forces are those of the full circle.
+    unknown_count : int, optional
+        The number of all unknowns in u, as a `Structure` knows it. By default one more than the largest in `unknowns`.
 
     Raises
     ------
@@ -67,6 +69,7 @@ class Surface(ReadOnly):
     name: str = "surface"
     thickness: float = 1.0
     revolved: bool = False
+    unknown_count: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", read_only(read_array(f"{self.name}: points", self.points)))

@@ -43,6 +43,20 @@ def test_bodies_stand_one_after_the_other():
     assert structure.unknown_names()[lower.size + 3] == "upper node 1 y"
 
 
+def test_rows_of_sides_are_over_all_unknowns_of_their_structure_or_body():
+    lower, upper = block("lower"), block("upper", low=1.0, cells=(3, 1))
+    structure = Structure([lower, upper])
+    joint = structure.surface("upper", "bottom"), structure.surface("lower", "top")
+    floor = cq.pair(structure.surface("lower", "bottom"), FLOOR)
+    for found in (floor, cq.pair_node_to_segment(*joint), cq.pair_mortar(*joint)):
+        assert found.normal.shape[1] == structure.size
+    assert cq.pair(lower.surface("bottom"), FLOOR).normal.shape[1] == lower.size
+    assert cq.ObstacleContact(lower.surface("bottom"), FLOOR).dimension == lower.size
+    assert cq.pair(lower.surface("bottom"), FLOOR, dimension=structure.size).normal.shape[1] == structure.size
+    with pytest.raises(InvalidProblem, match="unknowns: expected numbers from 0 to 3, got 17"):
+        cq.pair(lower.surface("bottom"), FLOOR, dimension=4)
+
+
 def test_prescribed_displacements_strain_the_block_uniformly():
     structure = Structure([block()])
     stretch = 0.01
