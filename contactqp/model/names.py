@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem, shown
-from contactqp.model.arrays import EPS, Indices, Vector
+from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.problem_data import is_whole
 
 NAMES_IN_A_MESSAGE = 8
@@ -24,6 +24,8 @@ NAMES_IN_A_MESSAGE = 8
 TAKES_PART = 1e-9
 # Entries below this part of the largest of their rows may be the rounding of zero.
 FAINT = 8 * EPS
+# A translation of unit length is among motions if its distance from their span is below this.
+WITHIN_SPAN = 1e-9
 AXES = ("x", "y", "z", "rotx", "roty", "rotz")
 SPELLINGS = {
     **{axis: axis for axis in AXES},
@@ -115,19 +117,69 @@ def describe_proof(problem: Any, proof: Any) -> str:
     return f"they overlap by {proof.excess:.3g}{unit}, rounding {proof.rounding:.1g}"
 
 
+def along_axes(problem: Any, motions: Array) -> Array:
+    """Return motions (n, q) with the same span: translations of bodies along axes as far as it has them, then others.
+
+    Translations are of one body, or of all together that do not move alone; the others are orthogonal to all of them.
+    Unknowns without the names of bodies, axes and nodes leave the motions as they are.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    motions : (n, q) array, of independent columns
+    """
+    groups = {} if problem.dof_names is None or motions.shape[1] < 2 else _bodies_and_axes(problem.dof_names)
+    basis, translations = np.linalg.qr(motions)[0], list[Vector]()
+    alone: set[tuple[str, str]] = set()
+    together = [[key for key in groups if key[1] == axis] for axis in AXES[:3]]
+    for keys in (*([key] for key in groups if key[1] in AXES[:3]), *together):
+        unit = np.zeros(len(basis))
+        for key in keys:
+            if key not in alone:
+                unit[groups[key]] = 1.0
+        unit /= np.linalg.norm(unit) or 1.0
+        if unit.any() and np.linalg.norm(basis @ (basis.T @ unit) - unit) <= WITHIN_SPAN:
+            translations.append(unit)
+            alone.update(keys)
+    if not translations:
+        return motions
+    moved = np.column_stack(translations)
+    others = np.linalg.qr(basis.T @ moved, mode="complete")[0][:, len(translations) :]
+    return np.hstack([moved, basis @ others])
+
+
+def _bodies_and_axes(names: Sequence[str]) -> dict[tuple[str, str], Indices]:
+    """Return the unknowns of each body and axis from names such as ``"block node 7 x"``; none if any is other."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for j, name in enumerate(names):
+        parts = _of_node(name)
+        if parts is None:
+            return {}
+        groups.setdefault((parts[0], parts[2]), []).append(j)
+    return {key: np.array(unknowns) for key, unknowns in groups.items()}
+
+
+def _of_node(name: str) -> tuple[str, str, str] | None:
+    """Return body, number of the node and axis of an unknown of a mesh, such as ``"block node 7 x"``."""
+    parts = name.rsplit(" ", 3)
+    if len(parts) != 4 or parts[1] != "node" or not parts[2].isdecimal():
+        return None
+    return parts[0], parts[2], parts[3]
+
+
 def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
     """Describe translations of bodies as ``"block along x by +1 (node 0 and 152 more)"``; empty if nodes move apart."""
     first: dict[tuple[str, str], str] = {}
     count: dict[tuple[str, str], int] = {}
     step_of: dict[tuple[str, str], float] = {}
     for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
-        parts = name.rsplit(" ", 3)  # body, node, its number, axis
-        if len(parts) != 4 or parts[1] != "node" or not parts[2].isdecimal():
+        parts = _of_node(name)
+        if parts is None:
             return []
-        key = parts[0], parts[3]
+        key = parts[0], parts[2]
         if step_of.setdefault(key, step) != step:
             return []
-        first.setdefault(key, parts[2])
+        first.setdefault(key, parts[1])
         count[key] = count.get(key, 0) + 1
     more = {key: f" and {nodes - 1} more" if nodes > 1 else "" for key, nodes in count.items()}
     return [f"{key[0]} along {key[1]} by {step_of[key]:+.3g} (node {first[key]}{more[key]})" for key in first]

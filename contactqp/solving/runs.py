@@ -52,7 +52,7 @@ from contactqp.model.arrays import (
     unfinished,
     zero_beneath,
 )
-from contactqp.model.names import describe_motion
+from contactqp.model.names import along_axes, describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, FreeMotion, Raw, Solution, Work
 from contactqp.solving.methods import FEW_ROWS, Method, Settings, refuse_too_dense
@@ -346,7 +346,8 @@ class CondensedRun(Run):
 
 def described(problem: ContactProblem, free: Array) -> tuple[FreeMotion, ...]:
     """Return the columns of a basis (n, q) as motions, described in words, whose largest component is one."""
-    directions = (direction / direction[np.argmax(abs(direction))] for direction in free.T)
+    aligned = along_axes(problem, free) if free.size else free
+    directions = (direction / direction[np.argmax(abs(direction))] for direction in aligned.T)
     return tuple(FreeMotion(direction, describe_motion(problem, direction)) for direction in directions)
 
 

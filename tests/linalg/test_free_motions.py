@@ -166,3 +166,22 @@ def test_textbook_systems_of_all_unknowns_are_regular_where_chains_slide(
     assert len(solution.free_motions) == 2
     assert solution.displacement == pytest.approx(moved, abs=1e-9)
     assert solution.normal_force == pytest.approx(pushed, abs=1e-3)  # rounding of penalties of 1e12
+
+
+@pytest.mark.parametrize("bodies", [1, 2])
+def test_free_motions_of_blocks_are_translations_along_axes_and_turns(bodies: int) -> None:
+    """Blocks of two by two elements pressed on a floor: each may slide along x and y, and turn about z."""
+    names = [f"b{i}" for i in range(bodies)]
+    cube = cq.box((1.0, 1.0, 1.0), (2, 2, 2))
+    structure = cq.Structure([cq.Body(cube, cq.Material(1e6, 0.3), "3d", name=b) for b in names])
+    floor = [cq.pair(structure.surface(b, "bottom"), cq.Plane([0, 0, 0], [0, 0, 1.0])) for b in names]
+    problem = structure.assemble([], [cq.Pressure(b, "top", 1.0) for b in names]).problem(floor)
+    motions = cq.solve(problem).free_motions
+    slides = [f"{b} along {axis} by +1 (node 0 and 26 more)" for b in names for axis in "xy"]
+    assert [str(motion) for motion in motions[: 2 * bodies]] == slides
+    assert len(motions) == 3 * bodies
+    directions = np.array([motion.direction for motion in motions])
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    assert unit @ unit.T == pytest.approx(np.eye(3 * bodies), abs=1e-12)
+    assert abs(directions[:, 2::3]).max() < 1e-12  # nothing leaves the floor
+    assert abs(problem.stiffness_rows @ directions.T).max() < 1e-6 * problem.diagonal.max()
