@@ -428,17 +428,17 @@ def _sum_of(entries: Vector, motion: list[Fraction], unknowns: Any) -> Fraction:
     return total if abs(total) > ROUNDED_SUM * sum(map(abs, terms)) else Fraction(0)
 
 
-def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, nothing: float = 0.0) -> float:
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, largest: float = 0.0) -> float:
     """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
 
-    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces. Motions on which no forces
-    act but some below `nothing` are in balance.
+    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces. On a motion on which only
+    rounding of the `largest` force acts, it is relative to that force.
 
     Parameters
     ----------
     problem, answer : whose outer forces these are
     rigid : the rigid motions of the bodies
-    nothing : a force in the scale of the stiffness [square root of energy]
+    largest : a force in the scale of the stiffness [square root of energy]
     """
     rows = extended_rows(problem)
     if not rigid.count:
@@ -446,21 +446,30 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, noth
     motions = that_move(problem, rigid.motions)
     outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
     missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
-    size = abs(motions).T @ outer_forces(problem, answer)
-    acting = size > abs(motions).T @ (nothing * np.sqrt(problem.diagonal))
-    return float(np.max(ratio(np.where(acting, abs(missed), 0.0), size)))
+    size, whole = _acting_on(problem, answer, motions, largest)
+    return float(np.max(ratio(abs(missed), np.where(size > NOTHING_BY_DEFAULT * whole, size, whole))))
+
+
+def _acting_on(problem: ContactProblem, answer: Answer, motions: Array, largest: float) -> tuple[Vector, Vector]:
+    """Return |z|'F_outer of each motion (r,), and what it would be if the `largest` force acted everywhere."""
+    size, whole = (abs(motions).T @ x for x in (outer_forces(problem, answer), largest * np.sqrt(problem.diagonal)))
+    return np.asarray(size), np.asarray(whole)
 
 
 def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
     """Return K z of rigid motions by rounding of K, relative to the outer forces.
 
-    Of motions that are not stated it is only what may be a resistance: what is more than `RESISTED`, else 0.
+    Of motions that are not stated it is only what may be a resistance that no outer force balances: what is more than
+    `RESISTED` along motions on which none acts, else 0.
     """
     if not rigid.count:
         return 0.0
-    moved = rigid.motions @ rigid.coordinates(answer.displacement, problem.diagonal)
-    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ extend(moved)).double())
-    size = _largest_outer_force(problem, answer)
+    coordinates, size = rigid.coordinates(answer.displacement, problem.diagonal), _largest_outer_force(problem, answer)
+    if problem.near_null_space is None:
+        acting, whole = _acting_on(problem, answer, rigid.motions, size)
+        coordinates = np.where(acting > NOTHING_BY_DEFAULT * whole, 0.0, coordinates)
+    moved = extend(rigid.motions @ coordinates)
+    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ moved).double())
     made = float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
     return made if problem.near_null_space is not None or made > RESISTED else 0.0
 
@@ -477,7 +486,7 @@ def of_acting_forces(problem: ContactProblem, answer: Answer, rigid: RigidMotion
     """
     if problem.near_null_space is not None:
         return missed
-    beside = imbalance(problem, answer, rigid, NOTHING_BY_DEFAULT * _largest_outer_force(problem, answer))
+    beside = imbalance(problem, answer, rigid, _largest_outer_force(problem, answer))
     return max(beside, made_of_motions(problem, answer, rigid), BALANCED)
 
 
