@@ -306,7 +306,7 @@ def test_no_bound_is_below_the_true_error(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize(
-    "seed, problems", [(0, 1), *(pytest.param(seed, 6, marks=pytest.mark.slow) for seed in range(4))]
+    ("seed", "problems"), [(0, 1), *(pytest.param(seed, 6, marks=pytest.mark.slow) for seed in range(4))]
 )
 def test_no_bound_with_friction_is_below_the_true_error(
     seed: int, problems: int, monkeypatch: pytest.MonkeyPatch
