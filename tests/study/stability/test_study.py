@@ -150,7 +150,7 @@ BREAKS = (
     ("redundancy", 2.0**-30, "lagrange-multiplier", report_rows.REFUSED),
     ("friction", 1.0 - 2.0**-40, "penalty", report_rows.APPROXIMATE),
     ("friction", 1.0, "active-set", STATED),
-    ("incline", 0.5, "penalty", report_rows.NOT_CONVERGED),
+    ("incline", 2.0, "projected-gauss-seidel", report_rows.UNSUPPORTED),
     ("mass-ratio", 2.0**80, "projected-gauss-seidel", report_rows.NOT_CONVERGED),
     ("unit-systems", 0.0, "penalty", report_rows.APPROXIMATE),
     ("contacts", 1e2, "penalty", report_rows.APPROXIMATE),
@@ -160,6 +160,13 @@ BREAKS = (
 
 def test_each_axis_breaks_some_method() -> None:
     assert {axis for axis, *_ in BREAKS} == {axis.name for axis in AXES}
+
+
+@pytest.mark.parametrize("method", ["penalty", "lemke"])
+def test_that_a_block_slides_down_an_incline_too_steep_for_its_friction_is_right(method: str) -> None:
+    row = stability_row("incline", 0.5, method)
+    assert row.verdict == report_rows.RIGHT
+    assert "the load drives a rigid motion" in row.message
 
 
 @pytest.mark.sampled(9)
