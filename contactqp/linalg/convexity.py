@@ -474,7 +474,7 @@ def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions
     return made if problem.near_null_space is not None or made > RESISTED else 0.0
 
 
-def of_acting_forces(problem: ContactProblem, answer: Answer, rigid: RigidMotions, missed: float) -> float:
+def imbalance_of_acting(problem: ContactProblem, answer: Answer, rigid: RigidMotions, missed: float) -> float:
     """Return the imbalance, of which `missed` is the largest, where more than rounding of other bodies' forces acts.
 
     A body that others carry along has no forces but those that rounding of K makes.

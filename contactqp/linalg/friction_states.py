@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import imbalance, made_of_motions, of_acting_forces
+from contactqp.linalg.convexity import imbalance, imbalance_of_acting, made_of_motions
 from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips
 from contactqp.linalg.dense import BALANCED, REGULAR
 from contactqp.linalg.extended import (
@@ -315,7 +315,7 @@ def refined_in(
         if (missed := max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid))) <= BALANCED:
             return found
     found = refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
-    return found if cleared else replace(found, cleared=of_acting_forces(problem, answer, rigid, missed))
+    return found if cleared else replace(found, cleared=imbalance_of_acting(problem, answer, rigid, missed))
 
 
 def refined_by(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import imbalance, made_of_motions, of_acting_forces
+from contactqp.linalg.convexity import imbalance, imbalance_of_acting, made_of_motions
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
@@ -100,7 +100,7 @@ def answer_on(
     if missed <= BALANCED:
         return found
     again = _refined(problem, condensation, closed, start, None, caution, at_rest, cleared=True)
-    return replace(again, cleared=of_acting_forces(problem, found.doubles, condensation.rigid, missed))
+    return replace(again, cleared=imbalance_of_acting(problem, found.doubles, condensation.rigid, missed))
 
 
 def _imbalance(problem: ContactProblem, condensation: Condensation, found: OnSet) -> float:

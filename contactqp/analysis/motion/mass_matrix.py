@@ -28,7 +28,7 @@ KEPT = 1e-9
 # Mass goes to so many neighbours that the share of each unknown would add at most this part to the mass of one alone.
 HEAVIER = 1.0
 # The least pivot, relative to the diagonal, with which the stiffness holds unknowns to others.
-SINGULAR = 1e-12
+LEAST_PIVOT = 1e-12
 # Of more compliances than this those are left out that are below this part of the largest, scaled by the stiffness.
 MANY, SLIGHT = 1_000_000, 1e-3
 # The largest size for which all frequencies are computed.
@@ -205,7 +205,7 @@ def _carried_in_balance(K: Any, moving: Indices, resting: Mask, carries: Mask) -
     inside, outer = np.flatnonzero(resting), np.flatnonzero(carries)
     own, at = K[inside][:, inside], np.searchsorted(inside, moving)
     factor = factorise(sp.csr_matrix(own)) if abs(K[inside][:, outer]).sum() else None
-    if factor is None or factor.smallest_pivot <= SINGULAR:
+    if factor is None or factor.smallest_pivot <= LEAST_PIVOT:
         raise InvalidProblem(_NOT_CARRIED)
     compliance = np.asarray(factor.solve(np.eye(len(inside))[:, at])).T
     if compliance.size > MANY:
