@@ -66,9 +66,10 @@ def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any
     if "x" not in given or any(part_called(name) for name in given):
         return None
     ledger, found = Ledger(str(path)), {}
+    forces_are_read = any(given.get(name) is not None for name in OF_PROGRAMS[1:])
     for name, values in given.items():
         if name not in OF_PROGRAMS:
-            refuse_unread(path, name, values, problem, of_program=True)
+            refuse_unread(path, name, values, problem, of_program=True, forces_are_read=forces_are_read)
             ledger.ignored.append(f"{name:.60}")
         elif values is not None:
             found[name] = vector(path, name, real_array(path, name, values))

@@ -177,3 +177,14 @@ def test_a_table_whose_contacts_do_not_stand_first_is_told_what_does(tmp_path: P
     table.write_text("instant,time [legs],contact,normal_force [N]\n0,1.0,tip,4\n")
     with pytest.raises(InvalidProblem, match="first line: expected dof, node, contact or tie as the first column"):
         answer_files.read_answer(table, _wall())
+
+
+def test_a_residual_beside_the_multipliers_of_a_program_is_ignored_by_name(tmp_path: Path) -> None:
+    """A program has no supports: what is called r counts as multipliers only where none are stated."""
+    program = ContactProblem.from_qp(2 * np.eye(2), [-4.0, -2.0], G=[[1.0, 1.0]], h=[2.0])
+    file = tmp_path / "answer.json"
+    file.write_text(json.dumps({"x": [1.5, 0.5], "z": [1.0], "r": [0.0, 0.0]}))
+    assert answer_files.read_answer(file, program).ledger.ignored == ["r"]
+    file.write_text(json.dumps({"x": [1.5, 0.5], "r": [1.0]}))
+    with pytest.raises(InvalidProblem, match="r: expected forces called x, y, z or z_box"):
+        answer_files.read_answer(file, program)
