@@ -16,7 +16,7 @@ from contactqp.model.arrays import Array, Index, Vector
 from contactqp.pictures import style
 from contactqp.pictures.contact_fields import BodyFields, ContactFields, PairingFields, contact_facets
 from contactqp.pictures.space_drawing import draw_space, load_arrows, load_handle
-from contactqp.pictures.style import MANY, Colour, cuts, edge_points, edges, magnification, pieces, sample, scale_text
+from contactqp.pictures.style import MANY, cuts, edge_points, edges, magnification, pieces, sample, scale_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,25 +45,19 @@ class Triangles:
     values: Array  # (q,)
 
 
-def triangles(fields: ContactFields, colour: str, scale: float) -> Triangles:
-    """Return the deformed elements of all bodies; values are displacement magnitudes or von Mises stresses."""
+def triangles(fields: ContactFields, scale: float) -> Triangles:
+    """Return the deformed elements of all bodies; values are displacement magnitudes."""
     points, corners, values, first = [], [], [], 0
     for body in fields.bodies:
         for block in body.body.mesh.blocks:
             parts = pieces(block.kind, cuts(block))
             x = sample(block, body.points + scale * body.displacement, parts.points)
             points.append(x.reshape(-1, 2))
-            values.append(_values(body, block, colour, parts.points).ravel())
+            values.append(np.linalg.norm(sample(block, body.displacement, parts.points), axis=2).ravel())
             starts = first + len(parts.points) * np.arange(len(block))
             corners.append((starts[:, None, None] + parts.triangles).reshape(-1, 3))
             first += len(points[-1])
     return Triangles(np.concatenate(points), np.concatenate(corners), np.concatenate(values))
-
-
-def _values(body: BodyFields, block: Block, colour: str, points: Array) -> Array:
-    if colour == "displacement":
-        return np.asarray(np.linalg.norm(sample(block, body.displacement, points), axis=2))
-    return sample(block, body.von_mises[:, np.newaxis], points)[..., 0]
 
 
 def contact_zone(fields: ContactFields, scale: float, size: float) -> Array | None:
@@ -79,16 +73,13 @@ def contact_zone(fields: ContactFields, scale: float, size: float) -> Array | No
     return np.asarray((low + high) / 2 + WIDER * side / 2 * np.array([[-1.0], [1.0]]))
 
 
-def draw_plane(
-    axes: Any, fields: ContactFields, colour: str, scale: float, window: Array | None = None
-) -> tuple[Any, list[Any]]:
+def draw_plane(axes: Any, fields: ContactFields, scale: float, window: Array | None = None) -> tuple[Any, list[Any]]:
     """Draw all bodies and contacts in the plane.
 
     Parameters
     ----------
     axes : matplotlib axes
     fields : ContactFields
-    colour : "displacement" or "von mises"
     scale : how many times displacements are magnified
     window : (2, 2) array, optional
         Corners of the part that is shown; all by default.
@@ -100,7 +91,7 @@ def draw_plane(
     """
     bodies = np.concatenate([body.points for body in fields.bodies])
     longest = style.ARROW * float(np.ptp(bodies if window is None else window, axis=0).max())
-    drawn = triangles(fields, colour, scale)
+    drawn = triangles(fields, scale)
     low, high = style.colour_range(drawn.values)
     x, y = drawn.points.T
     look: dict[str, Any] = dict(shading="gouraud", cmap=style.COLOUR_MAP, vmin=low, vmax=high, rasterized=True)
@@ -261,23 +252,12 @@ LONG_SIDE, BESIDE, BELOW = 7.0, 2.0, 1.7
 LEAST_SIDE = 2.2
 
 
-def draw(
-    fields: ContactFields,
-    file: str | Path,
-    *,
-    colour: Colour = "displacement",
-    scale: float | None = None,
-    title: str = "",
-) -> None:
+def figure(fields: ContactFields, *, scale: float | None = None, title: str = "") -> Figure:
     """Draw deformed bodies, coloured, with loads, contact pressure along the boundary, and contact points by state.
 
     Parameters
     ----------
     fields : ContactFields
-    file : str or Path
-        A file that ends in .png, .pdf or .svg.
-    colour : "displacement" or "von mises"
-        The magnitude of the displacement [length], or von Mises' stress [force / length^2].
     scale : float, optional
         How many times displacements are magnified; by default as many as make them visible, 1 where they are. The
         title states it. Gaps are those between the bodies as they are drawn: magnified bodies that met across a gap
@@ -288,9 +268,7 @@ def draw(
     Raises
     ------
     InvalidProblem
-        The suffix or the colour is unknown, the scale is not positive, or the folder does not exist.
-    BackendMissing
-        matplotlib is not installed.
+        The scale is not positive.
 
     Notes
     -----
@@ -299,25 +277,6 @@ def draw(
     surface is drawn facet by facet from the back to the front (the painter's algorithm: facets of very different sizes
     may cover each other wrongly), with a map of the pressure of each pairing beside it.
     """
-    path = style.check_picture(file)
-    style.save(figure(fields, colour=colour, scale=scale, title=title), path)
-
-
-def figure(
-    fields: ContactFields, *, colour: str = "displacement", scale: float | None = None, title: str = ""
-) -> Figure:
-    """Return the figure that `draw` writes.
-
-    Parameters
-    ----------
-    fields : ContactFields
-    colour : "displacement" or "von mises"
-    scale : float, optional
-        How many times displacements are magnified.
-    title : str
-        The title of the picture.
-    """
-    label = style.colour_label(colour, fields.units)
     points = np.concatenate([body.points for body in fields.bodies])
     size = float(np.ptp(points, axis=0).max())
     none = np.zeros(0)
@@ -328,15 +287,14 @@ def figure(
         np.concatenate([none, *[pairing.initial_gap for pairing in fields.pairings]]),
         np.concatenate([none, *[pairing.gap for pairing in fields.pairings]]),
     )
-    title = style.headline(
-        title, scale_text(scale) if colour == "displacement" else f"von Mises stress, {scale_text(scale)}"
-    )
+    title = style.headline(title, scale_text(scale))
+    label = f"displacement, magnitude [{style.length_unit(fields.units)}]"
     if fields.dimension == 3:
-        return draw_space(fields, colour, label, title, scale, size)
-    return _plane_figure(fields, colour, label, title, scale, points)
+        return draw_space(fields, label, title, scale, size)
+    return _plane_figure(fields, label, title, scale, points)
 
 
-def _plane_figure(fields: ContactFields, colour: str, label: str, title: str, scale: float, points: Array) -> Figure:
+def _plane_figure(fields: ContactFields, label: str, title: str, scale: float, points: Array) -> Figure:
     """Return the figure of all bodies, and beside them the contact zone where it is small."""
     sides = np.ptp(points, axis=0)
     width, height = np.maximum(sides / sides.max() * LONG_SIDE, LEAST_SIDE)
@@ -346,7 +304,7 @@ def _plane_figure(fields: ContactFields, colour: str, label: str, title: str, sc
     result = style.new_figure(sum(widths) + BESIDE, height + BELOW)
     panels = result.subplots(1, len(shown), squeeze=False, width_ratios=widths)[0]
     for panel, window in zip(panels, shown, strict=True):
-        coloured, handles = draw_plane(panel, fields, colour, scale, window)
+        coloured, handles = draw_plane(panel, fields, scale, window)
     result.colorbar(coloured, ax=panels, label=label, shrink=0.9)
     result.suptitle(title)
     if zone is not None:

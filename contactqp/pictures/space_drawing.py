@@ -175,13 +175,12 @@ MOST_LOADS = 40
 FEATURE = np.cos(np.radians(35.0))
 
 
-def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale: float, size: float) -> Figure:
+def draw_space(fields: ContactFields, label: str, title: str, scale: float, size: float) -> Figure:
     """Return the figure: bodies on the left, the maps of pairings on the right.
 
     Parameters
     ----------
     fields : ContactFields
-    colour : "displacement" or "von mises"
     label, title : the label of the colour bar, and the title
     scale : how many times displacements are magnified
     size : the largest side of the box around the undeformed bodies [length]
@@ -194,7 +193,7 @@ def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale
     halves: Any = result.subfigures(1, 2, width_ratios=[1.5, 1.0], wspace=0.06) if maps else [result]
     left = halves[0]
     axes = left.add_subplot(projection="3d", computed_zorder=False)
-    polygons, values = surface(fields, colour, scale)
+    polygons, values = surface(fields, scale)
     norm = Normalize(*style.colour_range(np.concatenate(values)))
     coloured = ScalarMappable(norm, style.COLOUR_MAP)
     _draw_surface(axes, polygons, values, coloured)
@@ -211,18 +210,15 @@ def draw_space(fields: ContactFields, colour: str, label: str, title: str, scale
     return result
 
 
-def surface(fields: ContactFields, colour: str, scale: float) -> tuple[list[Array], list[Array]]:
-    """Return the deformed facets of all outer surfaces as polygons (p, q, 3), kind by kind, and their values (p,)."""
+def surface(fields: ContactFields, scale: float) -> tuple[list[Array], list[Array]]:
+    """Return the deformed facets of all outer surfaces as polygons (p, q, 3), kind by kind, and displacements (p,)."""
     polygons, values = [], []
     for body in fields.bodies:
         mesh = body.body.mesh
         for block in mesh.facets_of(mesh.boundary):
             polygons.append(sample(block, body.points + scale * body.displacement, outline_points(block.kind)))
             middle = block.kind.nodes[: block.kind.corners].mean(axis=0)[np.newaxis]
-            if colour == "displacement":
-                values.append(np.linalg.norm(sample(block, body.displacement, middle)[:, 0], axis=1))
-            else:
-                values.append(sample(block, body.von_mises[:, np.newaxis], middle)[:, 0, 0])
+            values.append(np.linalg.norm(sample(block, body.displacement, middle)[:, 0], axis=1))
     return polygons, values
 
 

@@ -7,13 +7,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import Block, Reference, facet_keys
-from contactqp.errors import InvalidProblem, shown
+from contactqp.errors import InvalidProblem
 from contactqp.exchange.files import PICTURES, check_file, check_installed, write_whole
 from contactqp.model.arrays import Array, Index
 from contactqp.model.problem import Units
@@ -21,8 +21,6 @@ from contactqp.model.problem import Units
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Colour = Literal["displacement", "von mises"]
-COLOURS: tuple[str, ...] = get_args(Colour)
 COLOUR_MAP = "viridis"
 # Colours of Okabe and Ito (2008), distinct to colour-blind readers and from those of the colour map.
 PRESSURE, UNDEFORMED, OBSTACLE, OUTLINE = "#D55E00", "0.5", "0.3", "0.15"
@@ -93,18 +91,6 @@ def plain(text: str, most: int = 40) -> str:
     """
     short = text if len(text) <= most else f"{text[: most - 1]}…"
     return (" " if short.startswith("_") else "") + short.replace("$", r"\$")
-
-
-def colour_label(colour: str, units: Units) -> str:
-    """Return the label of the colour bar.
-
-    Raises InvalidProblem: there is no such colouring.
-    """
-    if colour == "displacement":
-        return f"displacement, magnitude [{length_unit(units)}]"
-    if colour == "von mises":
-        return f"von Mises stress [{pressure_unit(units)}]"
-    raise InvalidProblem(f"colour: expected one of {', '.join(map(repr, COLOURS))}, got {shown(colour)}")
 
 
 def colour_range(values: Array) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from contactqp.elements.members import spring_stiffness, truss_stiffness
 from contactqp.elements.reference_elements import REFERENCES, Block, Geometry
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, counted
-from contactqp.exchange.deck.model import AXES, AtNodes, Equation, Faces
+from contactqp.exchange.deck.model import AtNodes, Equation, Faces
 from contactqp.model.arrays import Array, Index, Vector
 from contactqp.scene.deck.groups import Group, Topology
 
@@ -227,12 +227,6 @@ class DeckAssembly:
             turn[:, a], turn[:, b] = -x[:, b], x[:, a]
             motions.append(turn.ravel())
         return np.pad(np.stack(motions, axis=1), ((0, len(self.topology.thicknesses)), (0, 0)))
-
-    def contents(self) -> str:
-        """Return how many unknowns there are, for the ledger."""
-        free = int(np.isnan(self.prescribed).sum())
-        axes = ", ".join(AXES[: self.topology.dimension])
-        return f"{counted('unknown', self.topology.size)} ({axes} of each node), {free} of them free"
 
 
 def _pairs(nodes: Index) -> tuple[Index, Index]:
