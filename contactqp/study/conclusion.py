@@ -209,7 +209,7 @@ def _which(lines: Sequence[MethodLine], cases: int, smallest: int, unsure: bool)
     if others:
         named = ", ".join(line.method for line in others)
         parts.append(f"Also right wherever they were tried: {named}{_fastest_of(others, default, unsure)}.")
-    known = f"On {cases} case{'' if cases == 1 else 's'} with a known answer"
+    known = f"On {counted('case', cases)} with a known answer"
     return f"{known}: {' '.join(parts)}" if parts else f"{known} no method that promises the exact one is right in all."
 
 

@@ -9,8 +9,9 @@ from itertools import pairwise
 from typing import Any
 from zlib import crc32
 
+from contactqp.errors import counted
 from contactqp.study import rows
-from contactqp.study.rows import Row
+from contactqp.study.rows import Row, milliseconds
 from contactqp.study.settings import STIFFNESSES
 from contactqp.study.statistics import Route
 
@@ -128,15 +129,6 @@ def error_text(value: float | None) -> str:
     return "" if value is None else "0" if value == 0 else f"{value:.1e}"
 
 
-def milliseconds(seconds: float | None) -> str:
-    """Return a time as text in a table [ms].
-
-    >>> milliseconds(0.01234), milliseconds(None)
-    ('12.3', '')
-    """
-    return "" if seconds is None else f"{1e3 * seconds:.3g}"
-
-
 def percent(part: int, whole: int) -> str:
     """Return a part of a whole in per cent as text; empty where the whole is zero.
 
@@ -144,15 +136,6 @@ def percent(part: int, whole: int) -> str:
     ('33 %', '')
     """
     return f"{100 * part / whole:.0f} %" if whole else ""
-
-
-def plural(count: int, word: str) -> str:
-    """Return a number of things as text.
-
-    >>> plural(1, "case"), plural(2, "case")
-    ('1 case', '2 cases')
-    """
-    return f"{count} {word}{'' if count == 1 else 's'}"
 
 
 # Room around the points of a logarithmic axis: a factor, and at least this part of the axis, so that symbols are whole.
@@ -164,7 +147,7 @@ METHOD = dict(text="method", standoff=12)  # title of an axis, clear of the name
 
 def on_cases(cases: Sequence[str]) -> str:
     """Return the sentence that says on which cases a chart rests."""
-    return f"On the {plural(len(cases), 'case')} with a known answer that every installed method was put to."
+    return f"On the {counted('case', len(cases))} with a known answer that every installed method was put to."
 
 
 def log_axis(title: str, values: Iterable[float]) -> dict[str, Any]:

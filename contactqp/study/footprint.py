@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
+
+from contactqp.errors import counted
+from contactqp.study.running.child import died_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -160,11 +162,7 @@ def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit
 def _ending(code: int, stderr: str) -> str:
     """Return how a process failed, in words."""
     if code < 0:
-        try:
-            name = signal.Signals(-code).name
-        except ValueError:
-            name = f"signal {-code}"
-        return f"the process died of {name}"
+        return died_of(code)
     last = stderr.strip().splitlines()[-1:] or [f"exit code {code}"]
     return f"the process ended early: {last[0]}"
 
@@ -204,20 +202,14 @@ def footprint_outcome(footprint: Footprint) -> str:
 
 def footprint_lines(footprint: Footprint) -> Iterator[str]:
     """Yield work, contacts, memory and modules as one line each."""
-    factorisations, right_hand_sides = footprint.factorisations, footprint.back_substitutions
-    yield f"work: {factorisations} {_many('factorisation', factorisations)} of the stiffness, {right_hand_sides} " + (
-        _many("back-substitution", right_hand_sides)
-    )
+    factorisations = counted("factorisation", footprint.factorisations)
+    yield f"work: {factorisations} of the stiffness, {counted('back-substitution', footprint.back_substitutions)}"
     if footprint.contacts is not None:
         yield f"contacts: {_contacts(footprint.contacts)}"
     if footprint.memory is not None and footprint.memory.peak is not None:
         yield f"memory: {_memory(footprint.memory, footprint.memory.peak)}"
     if footprint.modules is not None:
         yield from _modules(footprint.modules)
-
-
-def _many(name: str, count: int) -> str:
-    return name if count == 1 else f"{name}s"
 
 
 def _contacts(count: ContactCount) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.errors import counted
 from contactqp.study import rows, statistics
 from contactqp.study.curves import (
     BLUE,
@@ -34,10 +35,8 @@ from contactqp.study.curves import (
     meta,
     method_line,
     method_style,
-    milliseconds,
     on_cases,
     percent,
-    plural,
     rounded,
     route_key,
     traces,
@@ -45,7 +44,7 @@ from contactqp.study.curves import (
     vertical_line,
 )
 from contactqp.study.report_data import CaseRecord, ReportData
-from contactqp.study.rows import UNIT_ROUNDOFF, Row
+from contactqp.study.rows import UNIT_ROUNDOFF, Row, milliseconds
 from contactqp.study.truth import ABSOLUTE_ENERGY, ABSOLUTE_FORCE
 
 TIME_AXIS = "run time [ms]"
@@ -482,7 +481,7 @@ def median_chart(all_rows: Sequence[Row], quantity: Quantity) -> Chart | None:
 def _median_chart(cases: Sequence[str], middle: Sequence[Row], quantity: Quantity, figure: Mapping[str, Any]) -> Chart:
     return Chart(
         name=f"median-error-{'u' if quantity.name == 'u' else 'force'}",
-        title=f"{quantity.title.capitalize()} against run time, median over {plural(len(cases), 'case')}",
+        title=f"{quantity.title.capitalize()} against run time, median over {counted('case', len(cases))}",
         caption=f"{_READING} Of each value of a knob, the median time and the median "
         f"error over the {len(cases)} cases that every installed method was put to and whose errors are relative. An "
         "answer that failed has infinite errors and takes infinitely long; what fails in more than half of the cases "

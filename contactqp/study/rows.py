@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -129,24 +127,6 @@ def to_csv(rows: Iterable[Any], columns: Mapping[str, str] = COLUMNS) -> str:
     return csv_text(tuple(columns), ((getattr(row, name) for name in columns) for row in rows))
 
 
-def from_csv(text: str) -> tuple[Row, ...]:
-    """Return the rows that `to_csv` wrote."""
-    lines = csv.DictReader(io.StringIO(text))
-    return tuple(Row(**{name: _parsed(name, cell) for name, cell in line.items()}) for line in lines)
-
-
-_TYPES = {column.name: str(column.type).removesuffix(" | None") for column in fields(Row)}
-
-
-def _parsed(name: str, cell: str) -> Any:
-    kind = _TYPES[name]
-    if kind == "str":
-        return cell
-    if not cell:
-        return None
-    return cell == "true" if kind == "bool" else int(cell) if kind == "int" else float(cell)
-
-
 # The columns that fit a screen, with their headings there.
 READABLE: Mapping[str, str] = {
     "method": "method",
@@ -180,12 +160,12 @@ def readable(row: Row) -> dict[str, str]:
 
 
 def _rounded(name: str, value: Any) -> str:
+    if name == "seconds":
+        return milliseconds(value)
     if value is None:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if name == "seconds":
-        return f"{1e3 * value:.3g}"
     return "0" if value == 0 else f"{value:.1e}" if isinstance(value, float) else str(value)
 
 
@@ -202,7 +182,7 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
     for row in ran:
         shown = readable(row)
         error = shown["error_displacement_max" if _largest_unknown_decides(row) else "error_displacement"]
-        cells.append((_with_knob(row), error, shown["error_force"], _milliseconds(row), row.verdict))
+        cells.append((_with_knob(row), error, shown["error_force"], milliseconds(row.seconds), row.verdict))
     sentences = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
     missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
     sentences += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
@@ -235,7 +215,7 @@ def _in_short(rows: Sequence[Row]) -> str:
     if right:
         fastest = min(right, key=lambda row: row.seconds or 0.0)
         of = f"the fastest of {len(right)} right answers" if len(right) > 1 else "the only right answer"
-        first = f"{fastest.method}: {of}, {_milliseconds(fastest)} ms"
+        first = f"{fastest.method}: {of}, {milliseconds(fastest.seconds)} ms"
     wrong = {
         verdict: list(dict.fromkeys(row.method for row in rows if row.verdict == verdict))
         for verdict in (WRONG, REFUSED, NOT_CONVERGED, BACKEND_FAILED, CRASHED, UNSUPPORTED, APPROXIMATE)
@@ -250,8 +230,13 @@ def _with_knob(row: Row) -> str:
     return " ".join([row.method, *variant, *([] if usual else [f"{row.knob_value:.3g}"])])
 
 
-def _milliseconds(row: Row) -> str:
-    return "" if row.seconds is None else f"{1e3 * row.seconds:.3g}"
+def milliseconds(seconds: float | None) -> str:
+    """Return a time as text in a table [ms].
+
+    >>> milliseconds(0.01234), milliseconds(None)
+    ('12.3', '')
+    """
+    return "" if seconds is None else f"{1e3 * seconds:.3g}"
 
 
 def _says_why(row: Row) -> bool:

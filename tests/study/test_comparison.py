@@ -17,6 +17,7 @@ from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows, truth
 from contactqp.study.settings import STIFFENINGS, contact_stiffness
 from tests.examples import body_on_spring_in_mid_air, two_bars
+from tests.study.csv_rows import from_csv
 
 OURS = ["active-set", "lagrange-multiplier", "augmented-lagrangian", "penalty"]
 # Exact answer of the two bars at 300 kN: d1 = 41/31500 m, d2 = 19/63000 m, 95 kN.
@@ -214,7 +215,7 @@ def test_the_table_is_readable_and_goes_round_through_csv() -> None:
     assert "error in λ" in text
     assert max(map(len, text.splitlines())) <= 80
     assert "errors against: active-set, proven" in text
-    assert rows.from_csv(table.to_csv()) == table.rows
+    assert from_csv(table.to_csv()) == table.rows
     assert [rows.Row(**row) for row in table.to_dicts()] == list(table.rows)
     with pytest.raises(dataclasses.FrozenInstanceError):
         table.rows[0].verdict = rows.RIGHT  # type: ignore[misc]

@@ -20,6 +20,7 @@ from contactqp.study.comparison import GENEROSITY, Timing, timed
 from contactqp.study.conclusion import HEADINGS, PENALTY, UNSURE, WHICH, WRONG, conclude
 from contactqp.study.rows import Row, readable
 from contactqp.study.running.runner import Running
+from tests.study.csv_rows import from_csv
 from tests.study.statistics_examples import gave_up, right, wrong
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -345,8 +346,8 @@ def test_the_sentence_says_what_the_rows_of_results_csv_say(folder: Path) -> Non
 def test_the_terminal_ends_with_the_same_table(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
-    result = report.ReportResult(report_data.summarise(rows.from_csv((folder / "results.csv").read_text()), ()),
-                                 rows.from_csv((folder / "results.csv").read_text()), (), ())  # fmt: skip
+    result = report.ReportResult(report_data.summarise(from_csv((folder / "results.csv").read_text()), ()),
+                                 from_csv((folder / "results.csv").read_text()), (), ())  # fmt: skip
     monkeypatch.setattr(report, "write_report", lambda *_, **__: result)
     assert report.report([], str(tmp_path)) == 0
     out = capsys.readouterr().out
@@ -362,7 +363,7 @@ def test_the_terminal_ends_with_the_same_table(
 
 @pytest.mark.slow
 def test_times_of_brief_reports_come_in_rounds(folder: Path) -> None:
-    table = rows.from_csv((folder / "results.csv").read_text())
+    table = from_csv((folder / "results.csv").read_text())
     assert len(table) > 20
     assert all(row.repeats >= 2 and row.seconds_spread is not None for row in table)
     assert all(row.linear_solve_seconds and row.linear_solve_seconds > 0 for row in table)

@@ -97,7 +97,7 @@ def test_a_process_that_takes_too_long_or_dies_is_said_in_one_line(monkeypatch):
     assert late.failure == "stopped in a step that had not ended when the time limit of 0.01 s was over"
     monkeypatch.setattr("contactqp.study.footprint.CHILD", "tests.study.dying")
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
-    assert measure("kill").failure == "the process died of SIGKILL"
+    assert measure("kill").failure == "the process was killed, mostly for want of memory (SIGKILL)"
     assert measure("raise").failure == "the process ended early: ValueError: no such luck"
     assert measure("say").failure == "the process that measured said nothing that can be read"
     monkeypatch.setattr(sys, "executable", "/no/such/python")

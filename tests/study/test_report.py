@@ -27,6 +27,7 @@ from contactqp.study.rows import Row
 from contactqp.study.running.runner import Running
 from contactqp.study.settings import Setting, chosen_methods
 from contactqp.study.truth import Truth
+from tests.study.csv_rows import from_csv
 
 HERE = Running(jobs=0)
 ROOT = Path(__file__).parents[2]
@@ -57,7 +58,7 @@ def test_two_cases_write_every_file(written: tuple[Path, report.ReportResult]) -
 def test_csv_and_json_hold_the_same_rows(written: tuple[Path, report.ReportResult]) -> None:
     folder, result = written
     data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    assert rows.from_csv((folder / "results.csv").read_text(encoding="utf-8")) == result.rows
+    assert from_csv((folder / "results.csv").read_text(encoding="utf-8")) == result.rows
     assert tuple(rows.Row(**row) for row in data["rows"]) == result.rows
     assert (data["schema"], data["schema_version"]) == ("contactqp-report", 2)
     assert data["columns"] == dict(rows.COLUMNS)

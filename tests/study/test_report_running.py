@@ -22,9 +22,10 @@ from contactqp.study import collecting, report_data, rows
 from contactqp.study import reporting as report
 from contactqp.study.answer_pictures import AnswerPictures
 from contactqp.study.footprint import Footprint
-from contactqp.study.rows import Row, from_csv
+from contactqp.study.rows import Row
 from contactqp.study.running.journal import Journal
 from contactqp.study.running.runner import Running
+from tests.study.csv_rows import from_csv
 from tests.study.running.test_journal import disk_of
 
 ROOT = Path(__file__).parents[2]

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from contactqp.errors import counted
 from contactqp.scene.explaining import shortened
-from contactqp.scene.tables import MOST_ROWS, shown, written
+from contactqp.scene.tables import MOST_ROWS, shown
 from contactqp.study import rows
 from contactqp.study.curves import Chart, variant_name
 from contactqp.study.footprint import footprint_lines, footprint_outcome, share_text
@@ -145,9 +146,9 @@ class CaseView:
     def headline(self) -> str:
         """Return whether all expectations of the case are met, in words."""
         if self.case.unmet:
-            return f"✗ {_counted(len(self.case.unmet), 'expectation')} not met"
+            return f"✗ {counted('expectation', len(self.case.unmet))} not met"
         count = sum(len(table.lines) for table in (self.expectations, self.published) if table)
-        return f"✓ {'all ' if count > 1 else ''}{_counted(count, 'expectation')} met" if count else "no expectations"
+        return f"✓ {'all ' if count > 1 else ''}{counted('expectation', count)} met" if count else "no expectations"
 
     @property
     def about(self) -> tuple[str, ...]:
@@ -244,10 +245,6 @@ def _verdict(line: Mapping[str, Any]) -> str:
         return "✓ met" if line["ok"] else "✗ NOT MET"
     confirmed = "✓ right" if line["verdict"] == "right" else "⚠ wrong in the source"
     return confirmed if line["ok"] else f"✗ NOT {line['verdict']}, as the case states"
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{written(count)} {what}{'s' * (count != 1)}"
 
 
 def _url(picture: bytes | None) -> str:

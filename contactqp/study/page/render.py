@@ -45,21 +45,13 @@ def mathml(latex: str, display: str = "inline") -> str:
     return str(convert(latex, display=display))
 
 
-class TitledTable(NamedTuple):
-    """A table of a section, with its title."""
-
-    title: str
-    headings: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
-
-
 class Section(NamedTuple):
     """A section of the page of a study: each of the words is a paragraph."""
 
     heading: str
     words: tuple[str, ...]
     charts: tuple[Chart, ...]
-    tables: tuple[TitledTable, ...]
+    tables: tuple[Table, ...]  # their labels are their titles
 
 
 NEEDED = ("jinja2", "plotly", "latex2mathml")
@@ -333,7 +325,6 @@ class SectionView:
     anchor: str
     section: Section
     charts: tuple[ChartItem, ...]
-    tables: tuple[tuple[str, Table], ...]  # with their titles
 
 
 def render_study(
@@ -376,5 +367,4 @@ def render_study(
 def _study_views(sections: Sequence[Section]) -> Iterator[SectionView]:
     anchors = anchors_of(f"part-{section.heading}" for section in sections)
     for anchor, section in zip(anchors, sections, strict=True):
-        tables = ((table.title, plain_table(table.title, table.headings, table.lines)) for table in section.tables)
-        yield SectionView(anchor, section, items(anchor, section.charts), tuple(tables))
+        yield SectionView(anchor, section, items(anchor, section.charts))

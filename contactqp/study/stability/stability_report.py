@@ -16,8 +16,8 @@ from typing import Any
 
 from contactqp.study import rows as report_rows
 from contactqp.study.conclusion import deliver, machine, report_folder, unfinished, versions, workshop, write
-from contactqp.study.page.case_view import bars_of
-from contactqp.study.page.render import Section, Tile, TitledTable, missing_packages, render_study
+from contactqp.study.page.case_view import bars_of, plain_table
+from contactqp.study.page.render import Section, Tile, missing_packages, render_study
 from contactqp.study.rows import aligned
 from contactqp.study.running.journal import Journal, source_digest
 from contactqp.study.running.runner import (
@@ -264,8 +264,8 @@ def stability_sections(study: StabilityStudy) -> tuple[Section, ...]:
 
 def _summary_section(study: StabilityStudy) -> Section:
     headings, *lines = study.cells()
-    table = TitledTable("By axis", tuple(headings), tuple(tuple(line) for line in lines))
-    verdicts = TitledTable("Verdicts", ("verdict", "meaning"), tuple(VERDICTS.items()))
+    table = plain_table("By axis", headings, lines)
+    verdicts = plain_table("Verdicts", ("verdict", "meaning"), VERDICTS.items())
     return Section("How it ended", (str(study),), (), (table, verdicts))
 
 
@@ -296,8 +296,8 @@ def _needless_section(study: StabilityStudy) -> Sequence[Section]:
     if not study.refused_right:
         return ()
     reasons = Counter((row.axis, reason_of(row.message)) for row in study.refused_right)
-    lines = tuple((axis, reason, str(count)) for (axis, reason), count in reasons.most_common())
-    table = TitledTable("Right answers that were refused", ("axis", "reason", "rows"), lines)
+    lines = ((axis, reason, count) for (axis, reason), count in reasons.most_common())
+    table = plain_table("Right answers that were refused", ("axis", "reason", "rows"), lines)
     words = f"{len(study.refused_right)} answers were right to 1e-6 and were refused all the same."
     return (Section("Refused, and right", (words,), (), (table,)),)
 

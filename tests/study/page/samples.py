@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from contactqp.study.case_study import load_studies
 from contactqp.study.curves import Chart
@@ -30,23 +30,6 @@ def data_of(*names: str) -> ReportData:
         rows += [study.answer(setting, truth) for setting in study.settings]
         cases.append(record(study, truth))
     return report_of(cases, rows)
-
-
-class PartTable(NamedTuple):
-    """A table of a part."""
-
-    title: str
-    headings: tuple[str, ...]
-    lines: tuple[tuple[str, ...], ...]
-
-
-class Part(NamedTuple):
-    """What another study hands over."""
-
-    heading: str
-    words: tuple[str, ...]
-    charts: tuple[Chart, ...]
-    tables: tuple[PartTable, ...]
 
 
 @cache

@@ -12,13 +12,13 @@ import pytest
 from contactqp.study.conclusion import PENALTY, WHICH, WRONG
 from contactqp.study.page import render as pages
 from contactqp.study.page.case_view import bars_of
-from contactqp.study.page.render import render_study
+from contactqp.study.page.render import Section, render_study
 from contactqp.study.stability.axis_problem import Axis
 from contactqp.study.stability.stability_cells import AXES
 from contactqp.study.stability.stability_report import stability_sections, write_stability
 from contactqp.study.telling import telling_chart
 from tests.study.charts_examples import report
-from tests.study.page.samples import Part, chart, hostile
+from tests.study.page.samples import chart, hostile
 
 pytest.importorskip("selenium", reason="selenium is not installed: pip install selenium")
 from tests.study.page.chromium import OVERVIEW, complaints, count, find, look, needs_chromium, open_all, traces, wait
@@ -132,7 +132,7 @@ def test_paper_has_every_case_and_chart_and_the_screen_is_as_before(browser: Any
 @pytest.mark.slow
 def test_a_page_of_sections_alone_draws_its_charts(browser: Any, tmp_path: Path) -> None:
     drawn = chart(hostile().rows)
-    sections = (Part("First", ("Words.",), (drawn,), ()), Part("Second", (), (drawn,), ()))
+    sections = (Section("First", ("Words.",), (drawn,), ()), Section("Second", (), (drawn,), ()))
     file = tmp_path / "sections.html"
     file.write_text(render_study(sections, (), {}, {}, "contactqp report --stability"), encoding="utf-8")
     complaints(browser)

@@ -16,11 +16,11 @@ from contactqp.study import rows
 from contactqp.study.curves import Chart, variant_name
 from contactqp.study.footprint import Footprint, StageTime
 from contactqp.study.page import render as pages
-from contactqp.study.page.case_view import MARKS, marked, table_of_rows
+from contactqp.study.page.case_view import MARKS, marked, plain_table, table_of_rows
 from contactqp.study.page.render import render_study
 from contactqp.study.rows import VERDICTS
 from contactqp.study.statistics import Route
-from tests.study.page.samples import EVIL, Part, PartTable, bare_record, chart, data_of, hostile, report_of
+from tests.study.page.samples import EVIL, bare_record, chart, data_of, hostile, report_of
 
 for package in pages.NEEDED:
     pytest.importorskip(package)
@@ -213,8 +213,8 @@ def test_facts_are_told_in_words() -> None:
 
 def test_sections_of_another_study_and_a_chart_without_a_figure() -> None:
     told = Chart("ranges", "Safe ranges", "Where each method ends.", {}, ("method", "β"), (("penalty", "1e16"),))
-    table = PartTable("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
-    section = Part("Penalty stiffness", ("Best β: 1e12 <kN/m>.",), (told,), (table,))
+    table = plain_table("Verdicts", ("verdict", "meaning"), (("lost", "all digits"),))
+    section = pages.Section("Penalty stiffness", ("Best β: 1e12 <kN/m>.",), (told,), (table,))
     tiles = (pages.Tile(3, "rows", "of one axis"),)
     found = Page(render_study((section,), tiles, {"axis": "which"}, {"seeds": "none"}, "contactqp report --stability"))
     said = " ".join(found.texts)
