@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,7 @@ class FileOutcome:
     options: Mapping[str, Any] = field(default_factory=dict)
     code: str | None = None  # that of the error, where there is a failure
     ledger: Ledger | None = None  # what was read, assumed and without effect, of files of bodies
+    method: str = DEFAULT_METHOD  # the name that was asked for; with friction `solution.method` is longer
 
     @property
     def passed(self) -> bool:
@@ -144,19 +145,13 @@ def run_file_on_ranks(file: str, method: str, options: Mapping[str, Any]) -> Fil
         failure = error
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         failure = error
-    return _outcome(file, outline, solution, failure, time.perf_counter() - began, options)
+    seconds = time.perf_counter() - began
+    return _outcome(file, outline, solution, failure, seconds=seconds, options=options, method=method)
 
 
-def _outcome(
-    file: str,
-    outline: Outline,
-    solution: Any,
-    failure: ContactQPError | None,
-    seconds: float,
-    options: Mapping[str, Any],
-) -> FileOutcome:
-    told = (None, None) if failure is None else (f"{file}: {failure}", failure.code)
-    return FileOutcome(file, outline, solution, told[0], seconds, dict(options), told[1])
+def _outcome(file: str, outline: Outline, solution: Any, error: ContactQPError | None, **fields: Any) -> FileOutcome:
+    told = (None, None) if error is None else (f"{file}: {error}", error.code)
+    return FileOutcome(file, outline, solution, told[0], code=told[1], **fields)
 
 
 def _read(file: str, ranks: Ranks) -> tuple[Outline, ProblemRows]:
@@ -200,7 +195,8 @@ def run_files(
     """Solve every file by every method.
 
     Raises InvalidProblem: a stiffness with a unit for a problem that states none; names of units for one that states
-    its own; Unsupported: a picture or a table of a problem in local form, or of one that is dealt out to ranks.
+    its own; two files of one name, whose pictures would be one; Unsupported: a picture or a table of a problem in local
+    form, or of one that is dealt out to ranks.
 
     Parameters
     ----------
@@ -215,6 +211,10 @@ def run_files(
     """
     if not files:
         return []
+    stems = [Path(file).stem for file in files]
+    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    if drawn and twice is not None:
+        raise InvalidProblem(f"--plot and --csv: expected files with distinct names, got {twice!r} more than once")
     if drawn and engine != SERIAL:
         raise Unsupported(f"{files[0]}: --plot and --csv in one process alone; --json tells the answer of all ranks")
     from rich.console import Console
@@ -274,8 +274,8 @@ def run_file(
         solution, failure = error.solution, error
     except (NoEquilibrium, SeveralEquilibria, BackendFailed) as error:
         failure = error
-    found = _outcome(file, outline_of(problem), solution, failure, time.perf_counter() - began, chosen)
-    return replace(found, ledger=ledger)
+    about = {"seconds": time.perf_counter() - began, "options": chosen, "ledger": ledger}
+    return _outcome(file, outline_of(problem), solution, failure, method=method or DEFAULT_METHOD, **about)
 
 
 def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | None) -> LocalProblem | ContactProblem:
@@ -321,7 +321,7 @@ def write_files(outcomes: Sequence[FileOutcome], plot: Path | None, vtu: Path | 
     stems, written = {Path(outcome.file).stem for outcome, _ in found}, list[Path]()
     for outcome, solution in found:
         stem = Path(outcome.file).stem
-        names = [stem][: len(stems) > 1] + [solution.method][: len(found) > len(stems)]
+        names = [stem][: len(stems) > 1] + [outcome.method][: len(found) > len(stems)]
         deck = read_deck(outcome.file) if is_deck(outcome.file) and (plot, vtu) != (None, None) else None
         if plot is not None:
             written.append(named_file(plot, names))

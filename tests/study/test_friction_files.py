@@ -197,6 +197,14 @@ def test_a_folder_of_matrices_prints_its_answer_and_draws_forces_and_gaps(capsys
     assert (tmp_path / "a.csv").read_text().splitlines()[1].startswith("0,1.0,contact 0,closed,2.5,")
     run(capsys, "run", "bare", "--method", "osqp", "--method", "lemke", "--csv", "b.csv")
     assert {file.name for file in tmp_path.glob("b*.csv")} == {"b.osqp.csv", "b.lemke.csv"}
+    cq.write_problem("rough", cq.ContactProblem(**data, tangent=[[1.0, 0.0]], friction=0.3))
+    run(capsys, "run", "rough", "--method", "osqp", "--method", "lemke", "--csv", "c.csv")
+    assert {file.name for file in tmp_path.glob("c*.csv")} == {"c.osqp.csv", "c.lemke.csv"}
+    cq.write_problem("other/bare", cq.ContactProblem(**data))
+    code, _, err = run(capsys, "run", "bare", "other/bare", "--csv", "d.csv")
+    assert code == 2
+    assert "expected files with distinct names, got 'bare' more than once" in err
+    assert not list(tmp_path.glob("d*.csv"))
 
 
 @pytest.mark.slow
