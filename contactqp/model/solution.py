@@ -203,7 +203,7 @@ class Certificate(ReadOnly, Printed):
             within = f"within {self.radius:.3g} of this answer, in the square root of energy"
             lines.append(f"proven is that it is the only one {within}; others further away are not excluded")
         lines += map(str, self.failures)
-        lines += [f"no bound: {reason}" for reason in _together(self.reasons)]
+        lines += [f"no bound: {reason}" for reason in reasons_together(self.reasons)]
         lines += [f"note: {note}" for note in self.notes]
         if self.passed:
             verdict = "passed, proven" if self.proven else "passed, not proven"
@@ -212,7 +212,7 @@ class Certificate(ReadOnly, Printed):
         return "\n".join([verdict, *wrapped(*lines)])
 
 
-def _together(reasons: Iterable[str]) -> Iterator[str]:
+def reasons_together(reasons: Iterable[str]) -> Iterator[str]:
     """Yield each reason once, after the names of all bounds that it concerns."""
     named: dict[str, list[str]] = {}
     for text in reasons:

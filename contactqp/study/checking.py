@@ -25,7 +25,7 @@ from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import LocalCertificate
+from contactqp.model.solution import LOCALLY, LocalCertificate, reasons_together
 from contactqp.oracle.diagnosis.scales import named_factor
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
@@ -382,6 +382,7 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
         console.print(escape(f"  {as_options(verdict.certificate.diagnosis)}"), soft_wrap=True)
     for name, value in figures(verdict.certificate).items():
         console.print(f"  {name.replace('_', ' ')}: {value:.3g}")
+    print_wrapped(console, [f"  {line}" for line in _bounds(verdict)])
     print_wrapped(console, [f"  wrong: {failure}" for failure in verdict.certificate.failures])
     print_wrapped(console, [f"  note: {note}" for note in (*verdict.notes, *verdict.certificate.notes)])
     if isinstance(verdict, ForcesVerdict):
@@ -394,6 +395,23 @@ def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> Non
         last = ledger is verdict.ledgers[-1]  # the notes on what was read are above those on what was ignored
         lines = [f"  {kind}: {line}" for kind, line in ledger if not (last and kind == "ignored")]
         print_wrapped(console, [ledger.source, *lines])
+
+
+def _bounds(verdict: Verdict) -> Iterator[str]:
+    """Yield how far the candidate is from a right answer at most, and why a bound is missing."""
+    certificate = verdict.certificate
+    errors = {"displacement": getattr(certificate, "energy_error", None), "contact forces": certificate.force_error}
+    stated = [f"{what} {error:.2g}" for what, error in errors.items() if error is not None]
+    if stated:
+        word = "proven" if certificate.proven else "estimated"
+        yield f"error bounds, {word}: {', '.join(stated)}, relative in the energy norm"
+    largest = np.inf if certificate.force_bound is None else np.max(certificate.force_bound, initial=0.0)
+    if 0 < largest < np.inf:
+        unit = verdict.problem.units.force if isinstance(verdict.problem, ContactProblem) else ""
+        yield f"no contact force is further off than {largest:.2g} {unit}".rstrip()
+    if certificate.scope == LOCALLY and certificate.radius is not None:
+        yield f"that is from the only answer within {certificate.radius:.3g}, in the square root of energy"
+    yield from (f"no bound: {reason}" for reason in reasons_together(certificate.reasons))
 
 
 def _print_forces(console: Console, verdict: ForcesVerdict) -> None:

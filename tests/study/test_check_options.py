@@ -262,3 +262,34 @@ def test_what_run_prints_of_a_folder_is_right(capsys, folder):
     assert data["statuses"] == {"closed": 1, "open": 1}
     (folder / "ours.json").write_text(out)
     assert run(capsys, "check", "p", "ours.json")[0] == 0
+
+
+def test_error_bounds_are_printed_and_in_the_json_of_right_and_wrong_answers(capsys, tmp_path, monkeypatch):
+    """The force of the wall is 285/2, and 57/40 off if it is a hundredth larger; the pad slips by 1/10 at 3/10."""
+    monkeypatch.chdir(tmp_path)
+    units = {"length": "m", "force": "kN"}
+    bar = dict(stiffness=[[157500.0]], load=[300.0], normal=[[1.0]], gap=[1e-3], units=units)
+    cq.write_problem("bar", cq.ContactProblem(**bar))
+    for force, off in ((142.5, 0.0), (143.925, 1.425)):
+        (tmp_path / "answer.json").write_text(json.dumps({"displacement": [1e-3], "normal_force": [force]}))
+        _, out, _ = run(capsys, "check", "bar", "answer.json")
+        assert "error bounds, proven: displacement " in out
+        assert off == 0.0 or "no contact force is further off than 1.4 kN" in out
+        bounds = json.loads(run(capsys, "check", "bar", "answer.json", "--json")[1])["bounds"]
+        assert bounds["force_bound"] == pytest.approx([off], rel=1e-9, abs=1e-12)
+        assert bounds["force_error"] == pytest.approx(off / 142.5, rel=1e-9, abs=1e-14)
+    pad = cq.ContactProblem(
+        stiffness=[[2.0, 0.0], [0.0, 0.0]],
+        load=[0.5, -1.0],
+        normal=[[0.0, -1.0]],
+        gap=[0.0],
+        tangent=[[1.0, 0.0]],
+        friction=0.3,
+    )
+    cq.write_problem("pad", pad)
+    answer = {"displacement": [0.11, 0.0], "normal_force": [1.0], "friction_force": [0.28]}
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    _, out, _ = run(capsys, "check", "pad", "answer.json", "--tolerance", "0.1", "--error-tolerance", "0.2")
+    assert "error bounds, proven: displacement 0.1, contact forces 0.067" in out
+    assert "no contact force is further off than 0.02" in out
+    assert "no bound: energy_error, force_error, force_bound: friction" in run(capsys, "check", "pad", "answer.json")[1]
