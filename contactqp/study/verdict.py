@@ -35,7 +35,7 @@ OPTIONS = (
     (r"\bpressure_area=", "--pressure-areas"),
     (r"\b(dof|contact)_map=(\[[^]]*\])", r"--\1-map '\2'"),
     (r"\b(dof|contact)_map=", r"--\1-map "),
-    (r"\berror_tolerance=", "--error-tolerance "),
+    (r",? ?\berror_tolerance=", " --error-tolerance "),
     (r"\btolerance=", "--tolerance "),
 )
 
@@ -69,8 +69,10 @@ class CheckOptions:
 def as_options(text: str) -> str:
     """Return a diagnosis with the options of the command line in place of arguments in Python.
 
-    >>> as_options("with compression='negative' this answer is right; tolerance=1e-07 passes it")
-    'with --compression negative this answer is right; --tolerance 1e-07 passes it'
+    >>> as_options("with compression='negative' this answer is right")
+    'with --compression negative this answer is right'
+    >>> as_options("tolerance=1e-07, error_tolerance=1e-05 passes it")
+    '--tolerance 1e-07 --error-tolerance 1e-05 passes it'
     """
     for argument, option in OPTIONS:
         text = re.sub(argument, option, text)
