@@ -442,7 +442,8 @@ def compare(
         problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
     truth = truth_of(problem, reference)
     settings = (setting for method in chosen for setting in _settings(problem, method, values, options))
-    source = "nothing, as the active-set method proves no answer" if truth is None else truth.source
+    unknown = "nothing, as no answer is proven to be the only one; reference= states what to compare with"
+    source = unknown if truth is None else truth.source
     return Comparison(tuple(attempt(problem, setting, truth) for setting in settings), source)
 
 

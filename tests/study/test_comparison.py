@@ -283,6 +283,14 @@ def test_a_reference_that_the_proven_solution_contradicts_is_said_first() -> Non
     assert str(cq.compare(two_bars(), methods=["active-set"], reference=EXACT)).endswith("errors against: reference")
 
 
+def test_where_friction_leaves_no_proven_answer_the_table_says_how_to_state_one() -> None:
+    rough = two_bars().replace(tangent=[[0.0, 1.0]], friction=0.3)
+    assert str(cq.compare(rough, methods=["active-set"])).endswith(
+        "errors against: nothing, as no answer is proven to be the only one; reference=\n  states what to compare with"
+    )
+    assert cq.compare(rough, methods=["osqp"], reference=cq.solve(rough))[0].error_force < 1e-12
+
+
 @pytest.mark.slow
 def test_the_error_in_u_of_a_linear_program_is_that_of_the_largest_unknown() -> None:
     """K vanishes, and with it any energy norm. The exact vertex is (8/5, 6/5); a penalty moves both rows by l / 8."""
