@@ -1,6 +1,7 @@
 """contactqp: contact problems as energy minimisation with inequality constraints, every answer certified.
 
-The public names are loaded when they are first used, so that a scene imports only what it needs.
+The public names are loaded when they are first used, so that a scene imports only what it needs. The table of
+`docs/extending.md` says in which function each thing is done.
 """
 
 from __future__ import annotations
