@@ -123,6 +123,34 @@ def test_many_contacts_of_a_held_body_leave_slight_compliances_out(monkeypatch: 
     assert np.linalg.eigvalsh(local.toarray())[0] > -1e-14
 
 
+def test_mass_on_full_rows_moves_as_on_sparse_ones() -> None:
+    """Whole numbers, so that T'MT has no rounding: 250 contacts whose shares reach 300 unknowns each."""
+    rng = np.random.default_rng(5)
+    heavy, carries = np.arange(0, 500, 2), np.arange(1, 701, 2)
+    T = sp.lil_matrix((720, 720))
+    T[carries, carries] = 1.0
+    T[np.ix_(heavy, carries[:300])] = rng.integers(-8, 8, (250, 300))
+    M = sp.diags([1.0 * rng.integers(1, 9, 719), 1.0 * rng.integers(20, 90, 720)], [1, 0], format="csr")
+    M = sp.csr_matrix(M + M.T)
+    moved = mass_matrix._moved(M, sp.csr_matrix(T), heavy)
+    np.testing.assert_array_equal(moved.toarray(), T.toarray().T @ M.toarray() @ T.toarray())
+
+
+def test_motions_of_a_large_held_body_are_not_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PARDISO's pivots say that it has none; SuperLU's factors of a body in space take ten times as long."""
+    pytest.importorskip("pypardiso")
+    body = cq.Body(cq.box((1.0, 1.0, 0.5), (10, 10, 6)), cq.Material(1.0, 0.3, density=1.0), "3d", name="block")
+    structure = cq.Structure([body])
+    held, foot = [cq.Support("block", "top", axis) for axis in range(3)], cq.Plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    system = structure.assemble(held)
+    problem = system.problem(cq.pair(structure.surface("block", "bottom"), foot)).replace(near_null_space=None)
+    found = cq.redistributed_mass(system.mass(), problem)
+    monkeypatch.setattr(mass_matrix, "null_space", None)
+    twin = problem.replace(stiffness=problem.stiffness)
+    assert abs(cq.redistributed_mass(system.mass(), twin) - found).max() == 0.0
+    assert mass_matrix._known_motions(twin).shape == (problem.dimension, 0)
+
+
 def test_what_has_no_neighbours_left_is_refused() -> None:
     pair = cq.ContactProblem([[1.0, -1.0], [-1.0, 1.0]], [0, 0], np.eye(2), [1.0, 1.0])
     with pytest.raises(cq.InvalidProblem, match="cannot be moved to others of the same body"):
