@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.material import measure
 from contactqp.elements.reference_elements import Block, Geometry, at_rule, sum_at_nodes
-from contactqp.elements.scalars import Number, Numbers, real_array, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, keep_own, real_array, square_root, squared_length
 from contactqp.elements.solid import Body, Membrane, assemble, pattern
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index, Vector
+from contactqp.model.problem_data import ReadOnly
 
 Field = ArrayLike | Callable[[Array], ArrayLike]
 
@@ -48,7 +49,7 @@ def refuse_on_membrane(load: Load, membrane: Membrane) -> None:
 
 @checks
 @dataclass(frozen=True, eq=False)
-class Traction:
+class Traction(ReadOnly):
     """A force per area on a side: f_i = integral of N_i t dA.
 
     Parameters
@@ -62,6 +63,9 @@ class Traction:
     side: str
     value: Field
 
+    def __post_init__(self) -> None:
+        keep_own(self, "value")
+
     def forces(self, body: Body) -> Vector:
         """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
 
@@ -74,7 +78,7 @@ class Traction:
 
 @checks
 @dataclass(frozen=True, eq=False)
-class Pressure:
+class Pressure(ReadOnly):
     """A pressure on a side: f_i = -integral of N_i p n dA with n out of the body, so that p > 0 pushes the body.
 
     On a membrane it acts from one side of its plane: from above, f_i = -integral of N_i p dA along z, or from below.
@@ -90,6 +94,9 @@ class Pressure:
     body: str
     side: str
     value: Field
+
+    def __post_init__(self) -> None:
+        keep_own(self, "value")
 
     def forces(self, body: Body | Membrane) -> Vector:
         """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
@@ -118,7 +125,7 @@ class Pressure:
 
 
 @dataclass(frozen=True, eq=False)
-class BodyForce:
+class BodyForce(ReadOnly):
     """A force per volume: f_i = integral of N_i b dV.
 
     Parameters
@@ -129,6 +136,9 @@ class BodyForce:
 
     body: str
     value: Field
+
+    def __post_init__(self) -> None:
+        keep_own(self, "value")
 
     def forces(self, body: Body) -> Vector:
         """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
@@ -142,7 +152,7 @@ class BodyForce:
 
 @checks
 @dataclass(frozen=True, eq=False)
-class Gravity:
+class Gravity(ReadOnly):
     """The weight of a body: the body force rho a.
 
     Parameters
@@ -155,6 +165,9 @@ class Gravity:
     body: str
     acceleration: ArrayLike
 
+    def __post_init__(self) -> None:
+        keep_own(self, "acceleration")
+
     def forces(self, body: Body) -> Vector:
         """Return the nodal forces (N d,) of the load on a body, node by node [force]."""
         if not body.material.density > 0:
@@ -163,7 +176,7 @@ class Gravity:
 
 
 @dataclass(frozen=True, eq=False)
-class Weight:
+class Weight(ReadOnly):
     """The weight of a body in a motion: f = M a with the body's own mass matrix, so that a free fall strains nothing.
 
     Parameters
@@ -177,6 +190,9 @@ class Weight:
     acceleration: ArrayLike
     lumped: bool = False
 
+    def __post_init__(self) -> None:
+        keep_own(self, "acceleration")
+
     def forces(self, body: Body) -> Vector:
         falling = np.tile(np.asarray(self.acceleration, dtype=float), len(body.mesh.points))
         return np.asarray(solid_mass(body, self.lumped) @ falling)
@@ -184,7 +200,7 @@ class Weight:
 
 @checks
 @dataclass(frozen=True, eq=False)
-class PointLoad:
+class PointLoad(ReadOnly):
     """The same force at each of some nodes.
 
     Parameters
@@ -199,6 +215,9 @@ class PointLoad:
     body: str
     nodes: str | int | Sequence[int]
     force: ArrayLike
+
+    def __post_init__(self) -> None:
+        keep_own(self, "nodes", "force")
 
     def forces(self, body: Body | Membrane) -> Vector:
         """Return the nodal forces (N d,) of the load on a body, node by node [force]."""

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from contactqp.elements.scalars import Number, Numbers, positive_number, real_array, unit_vector
+from contactqp.elements.scalars import Number, Numbers, keep_own, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
-from contactqp.model.problem_data import is_whole
+from contactqp.model.problem_data import ReadOnly, is_whole
 
 # The step at which truncation (step^2) and rounding (eps / step) of a central difference are equal.
 RELATIVE_STEP = float(np.cbrt(EPS))
@@ -35,7 +35,7 @@ class Obstacle(Protocol):
 @checks
 @computes
 @dataclass(frozen=True, eq=False)
-class Plane:
+class Plane(ReadOnly):
     """The rigid half-space behind the plane through `point`; bodies are on the side that `normal` points to.
 
     Parameters
@@ -57,6 +57,7 @@ class Plane:
         for what, vector in (("point", point), ("normal", normal)):
             if not np.all(np.isfinite(vector)):
                 raise InvalidProblem(f"plane {what}: expected finite components, got {vector}")
+        keep_own(self, "point", "normal")
         self.outward()
 
     @property

@@ -12,11 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from contactqp.elements.obstacle import points_near
-from contactqp.elements.scalars import positive_number, real_array, unit_vector
+from contactqp.elements.scalars import keep_own, positive_number, real_array, unit_vector
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.measures import lengths
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
+from contactqp.model.problem_data import ReadOnly
 
 # Closer to the centre than this part of the radius the normal is not defined.
 CENTRE = 1e-9
@@ -28,7 +29,7 @@ NEWTON_STEPS = 100
 @checks
 @computes
 @dataclass(frozen=True, eq=False)
-class _Ball(ABC):
+class _Ball(ReadOnly, ABC):
     """The common part of a circle and a sphere: only the dimension differs."""
 
     centre: Any
@@ -38,6 +39,7 @@ class _Ball(ABC):
     def __post_init__(self) -> None:
         _check(self._name, "centre", self.centre, self.dimension)
         positive_number(f"{self._name} radius", self.radius, "length")
+        keep_own(self, "centre")
 
     @property
     @abstractmethod
@@ -102,7 +104,7 @@ class Sphere(_Ball):
 @checks
 @computes
 @dataclass(frozen=True, eq=False)
-class Cylinder:
+class Cylinder(ReadOnly):
     """The rigid round bar of infinite length about an axis, or the bore that it leaves.
 
     gap = |r| - radius, n = r / |r| with r = (x - point) - ((x - point).a) a; both change sign if `inside`.
@@ -129,6 +131,7 @@ class Cylinder:
         _check("cylinder", "axis", self.axis, 3)
         positive_number("cylinder radius", self.radius, "length")
         unit_vector(np.asarray(self.axis, dtype=float), "cylinder axis")
+        keep_own(self, "point", "axis")
 
     @property
     def dimension(self) -> int:
@@ -178,7 +181,7 @@ def _normals(name: str, points: Any, radial: Array, radius: float, inside: bool)
 @checks
 @computes
 @dataclass(frozen=True, eq=False)
-class Paraboloid:
+class Paraboloid(ReadOnly):
     """The rigid obstacle behind z = -r^2 / (2 R): z along the axis from the apex, r the distance from the axis.
 
     In two dimensions it is a parabola (the cylinder of Hertz's line contact). The body is on the side that the axis
@@ -215,6 +218,7 @@ class Paraboloid:
             raise InvalidProblem(f"paraboloid: expected finite apex and axis, got {self.apex} and {self.axis}")
         positive_number("paraboloid radius", self.radius, "length")
         unit_vector(axis, "paraboloid axis")
+        keep_own(self, "apex", "axis")
 
     @property
     def dimension(self) -> int:

@@ -32,6 +32,18 @@ def real_array(what: str, value: Any) -> Array:
     return read_array(what, value)
 
 
+def keep_own(holder: Any, *names: str) -> None:
+    """Replace attributes of a frozen object, an array by a read-only copy, a list by a tuple, so that nobody else can
+    change them.
+    """
+    for name in names:
+        value = getattr(holder, name)
+        if isinstance(value, np.ndarray):
+            value = value.copy()
+            value.setflags(write=False)
+        object.__setattr__(holder, name, tuple(value) if isinstance(value, list) else value)
+
+
 def real_vector(what: str, value: Any, size: int) -> Array:
     """Return a copy of `size` real numbers, NaN included.
 

@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 
 from contactqp.elements.loads import Field, Load, field_values, node_numbers, refuse_on_membrane, solid_mass
 from contactqp.elements.pairing import Pairing
-from contactqp.elements.scalars import real_vector
+from contactqp.elements.scalars import keep_own, real_vector
 from contactqp.elements.solid import Body, Membrane
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, counted, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, Index, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.problem_data import read_coefficient
+from contactqp.model.problem_data import ReadOnly, read_coefficient, read_only
 
 Part = Body | Membrane
 # Relative difference up to which two supports prescribe the same displacement to a node.
@@ -38,7 +38,7 @@ GAPS_ROUND = 16 * EPS
 
 @checks
 @dataclass(frozen=True)
-class Support:
+class Support(ReadOnly):
     """A prescribed displacement of some nodes along one axis.
 
     Parameters
@@ -57,10 +57,13 @@ class Support:
     axis: int | Literal["x", "y", "z"]
     value: Field = 0.0
 
+    def __post_init__(self) -> None:
+        keep_own(self, "nodes", "value")
+
 
 @checks
 @dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(ReadOnly):
     """Several bodies with unknowns in one vector u, body after body, within a body node by node.
 
     Parameters
@@ -89,6 +92,7 @@ class Structure:
         kinds = dict.fromkeys(_KINDS[body.axes] for body in self.bodies)
         if len(kinds) > 1:
             raise InvalidProblem(f"structure: expected bodies of one dimension, got {' and '.join(kinds)} ones")
+        object.__setattr__(self, "bodies", tuple(self.bodies))
 
     @property
     def size(self) -> int:
@@ -157,7 +161,7 @@ class Structure:
     @cached_property
     def stiffness(self) -> Any:
         """Return K of all unknowns, free or not: (n, n) CSC [force / length]."""
-        return sp.csc_array(sp.block_diag([body.stiffness for body in self.bodies], format="csc"))
+        return _sorted(sp.block_diag([body.stiffness for body in self.bodies], format="csc"))
 
     def assemble(self, supports: Sequence[Support] = (), loads: Sequence[Load] = ()) -> System:
         """Return the system of the free unknowns under these supports and loads, which all add up.
@@ -221,7 +225,7 @@ class Structure:
 
 @checks
 @dataclass(frozen=True, eq=False)
-class System:
+class System(ReadOnly):
     """The system K u = f on the free unknowns of a structure, with prescribed displacements on the right-hand side.
 
     Parameters
@@ -237,6 +241,9 @@ class System:
     load: Vector
     prescribed: Vector
 
+    def __post_init__(self) -> None:
+        keep_own(self, "load", "prescribed")
+
     def __repr__(self) -> str:
         bodies = ", ".join(body.name for body in self.structure.bodies)
         return f"System({counted('unknown', len(self.prescribed))}, {len(self.free)} of them free, of {bodies})"
@@ -244,22 +251,22 @@ class System:
     @cached_property
     def free(self) -> Index:
         """Return the free unknowns: free[j] is the index among all unknowns of unknown j of this system."""
-        return np.flatnonzero(np.isnan(self.prescribed))
+        return read_only(np.flatnonzero(np.isnan(self.prescribed)))
 
     @cached_property
     def given(self) -> Vector:
         """Return the prescribed displacements, 0 at free unknowns, (n,) [length]."""
-        return np.where(np.isnan(self.prescribed), 0.0, self.prescribed)
+        return read_only(np.where(np.isnan(self.prescribed), 0.0, self.prescribed))
 
     @cached_property
     def K(self) -> Any:
         """Return the stiffness of the free unknowns, CSC [force / length]."""
-        return sp.csc_array(self.structure.stiffness[self.free][:, self.free])
+        return _sorted(self.structure.stiffness[self.free][:, self.free])
 
     @cached_property
     def f(self) -> Vector:
         """Return their loads, f_free - K_free,prescribed u_prescribed [force]."""
-        return np.asarray((self.load - self.structure.stiffness @ self.given)[self.free])
+        return read_only(np.asarray((self.load - self.structure.stiffness @ self.given)[self.free]))
 
     def mass(self, lumped: bool = False) -> Any:
         """Return M of the free unknowns, CSR [force time^2 / length], as `impact` takes it.
@@ -335,6 +342,13 @@ class System:
         if pairings:
             problem._computed.contact_points = np.concatenate([one.points for one in pairings])[contacts.kept]
         return problem
+
+
+def _sorted(matrix: Any) -> Any:
+    """Return a matrix as read-only CSC with sorted indices, so that no solver has to sort them in place."""
+    found = sp.csc_array(matrix)
+    found.sum_duplicates()
+    return read_only(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,6 +67,12 @@ def arch(**changes: Any) -> cq.Supported:
     return cq.Supported(cq.NonlinearTruss(**bars), held=[0, 1, 4, 5])
 
 
+def held_block() -> cq.System:
+    block = cq.Body(cq.rectangle(2.0, 1.0, (2, 1), "quad4"), cq.Material(1.0, 0.3, 1.0), "plane-strain", name="block")
+    supports = [cq.Support("block", "bottom", axis) for axis in ("x", "y")]
+    return cq.Structure([block]).assemble(supports, [cq.Pressure("block", "top", 0.1)])
+
+
 HOLDERS: dict[str, Callable[[], Any]] = {
     "dense": lambda: cq.ContactProblem(**PLANE),
     "sparse": sparse_plane,
@@ -89,6 +95,14 @@ HOLDERS: dict[str, Callable[[], Any]] = {
     "surface": lambda: side(),
     "pairing": lambda: cq.pair(side(), FLOOR),
     "obstacle contact": lambda: cq.ObstacleContact([[0.0, 0.2]], FLOOR),
+    "structure": lambda: held_block().structure,
+    "system": held_block,
+    "plane": lambda: cq.Plane(np.zeros(2), np.array([0.0, 1.0])),
+    "circle": lambda: cq.Circle(np.zeros(2), 1.0),
+    "cylinder": lambda: cq.Cylinder(np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.0),
+    "paraboloid": lambda: cq.Paraboloid(np.zeros(2), np.array([0.0, 1.0]), 1.0),
+    "traction": lambda: cq.Traction("block", "top", np.zeros(2)),
+    "point load": lambda: cq.PointLoad("block", np.array([0, 1]), np.zeros(2)),
     "bounds": lambda: cq.Obstacle("wall", ("a", "b"), np.array([0.1, 0.2])),
     "critical": lambda: cq.critical_friction(sparse_plane().replace(tie=sp.csr_array((0, 2)))),
     "exact": lambda: cq.exact(truss()),
@@ -164,6 +178,42 @@ def test_neither_does_what_pairs_and_deforms() -> None:
         for path, array in found:
             assert not any(np.shares_memory(array, own) for own in mine), (type(holder), path)
     assert all(own.flags.writeable for own in mine)
+
+
+PLACE, ALONG, NODES = np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([0, 1])
+OBSTACLES: dict[str, Callable[[Any, Any], Any]] = {
+    "plane": cq.Plane,
+    "sphere": lambda place, _: cq.Sphere(place, 1.0),
+    "cylinder": lambda place, axis: cq.Cylinder(place, axis, 1.0),
+    "paraboloid": lambda place, axis: cq.Paraboloid(place, axis, 1.0),
+}
+
+
+@pytest.mark.parametrize("form", [np.array, list])
+@pytest.mark.parametrize("kind", OBSTACLES)
+def test_an_obstacle_stays_where_it_was_made(kind: str, form: Callable[[Any], Any]) -> None:
+    place, axis = form(PLACE), form(ALONG)
+    obstacle = OBSTACLES[kind](place, axis)
+    points = np.full((1, obstacle.dimension), 2.0)
+    before = obstacle.distance(points)
+    place[:], axis[:] = [5.0, 6.0, 7.0], [1.0, 1.0, 0.0]
+    assert obstacle.distance(points) == before
+
+
+def test_loads_and_supports_stay_what_they_were_and_a_structure_has_the_bodies_of_its_start() -> None:
+    system, force, nodes = held_block(), np.array([0.25, -0.5]), NODES.copy()
+    block = system.structure.body("block")
+    loads = [cq.Traction("block", "top", force), cq.PointLoad("block", nodes, force), cq.Gravity("block", force)]
+    before = [load.forces(block) for load in loads]
+    support, bodies = cq.Support("block", nodes, 0), [block]
+    structure = cq.Structure(bodies)
+    force *= 2
+    nodes += 1
+    bodies.append(block)
+    for load, forces in zip(loads, before, strict=True):
+        assert np.array_equal(load.forces(block), forces)
+    assert np.flatnonzero(~np.isnan(structure.prescribed([support]))).tolist() == [0, 2]
+    assert structure.size == block.size
 
 
 def test_what_a_problem_says_of_its_rows_cannot_be_changed() -> None:
