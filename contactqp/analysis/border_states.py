@@ -33,7 +33,7 @@ from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extended_rows
-from contactqp.linalg.friction_states import friction_bound, refined_in
+from contactqp.linalg.friction_states import refined_in
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
@@ -182,7 +182,8 @@ def _beyond_doubles(
     nothing = INVISIBLE * whole + last
     force = np.divide(nothing, normal, out=np.zeros_like(normal), where=normal > 0)
     drag = found.friction_force.double()
-    room = friction_bound(problem, found.normal_force, np.ones(shape)) - Extended(
+    assert problem.friction is not None
+    room = found.normal_force.spread(np.outer(problem.friction, np.ones(shape[1]))) - Extended(
         abs(found.friction_force.hi), np.where(found.friction_force.hi < 0, -1.0, 1.0) * found.friction_force.lo
     )
     slip = (

@@ -180,6 +180,7 @@ class IteratedBodies:
             extend(here.normal_force),
             extend(here.friction_force.ravel()),
             extend(here.tie_force),
+            status,
             states.direction,
             last,
             regular=bool(np.all(np.isfinite(here.displacement))),

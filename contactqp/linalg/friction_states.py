@@ -17,7 +17,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Protocol
+from operator import is_
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -118,16 +119,15 @@ class StateSystem:
     rows : FrictionalRows
     status : (m,) array of int, the combination
     directions : (m, d-1) array, of slip, of unit length; zero where a contact does not slip
-    turning : (m,) array, optional
-        mu l_N / |s| in scaled forces and lengths; None in the plane.
+    turning : (m,) array, mu l_N / |s| in scaled forces and lengths; None in the plane
     independent : bool
         Whether rows that depend on others get no correction and motions that no row resists stay at rest. Forces and
         motions of the start are then kept there, and a nearly singular stiffness does not make the system irregular.
 
     Attributes
     ----------
-    regular : bool, whether the matrix has an inverse; else minimum-norm least-squares corrections are used redundant :
-    bool, whether rows depend on others (where `independent` was asked for)
+    regular : bool, whether the matrix has an inverse; else minimum-norm least-squares corrections are used
+    redundant : bool, whether rows depend on others (where `independent` was asked for)
     sound : bool, whether it is regular beyond rounding; rows of forces may depend though constrained rows do not
     """
 
@@ -256,6 +256,7 @@ def _of_unit_length(rows: Array) -> Array:
 class RefinedState(AnswerOf[Extended, Extended]):
     """The answer of one combination in extended precision, with unchecked signs; friction forces are flat."""
 
+    status: Status  # (m,) the combination
     directions: Array  # (m, d-1) of slip
     last: Correction
     regular: bool  # whether all systems were regular
@@ -280,9 +281,9 @@ def refined_in(
 ) -> RefinedState:
     """Refine the answer of one combination from a start.
 
-    The system of the last combination is reused if it is the same. In space the first slip directions are those of the
-    start. K is used as stated unless its rounding along rigid motions spoils the balance of forces, as in
-    `contactqp.linalg.refinement.answer_on`.
+    The system of the last combination is reused if it is the same; an answer of `answer_in` is not refined again. In
+    space the first slip directions are those of the start. K is used as stated unless its rounding along rigid motions
+    spoils the balance of forces, as in `contactqp.linalg.refinement.answer_on`.
 
     Parameters
     ----------
@@ -295,6 +296,10 @@ def refined_in(
     left : those of the start, where they are known
     cleared : whether K is cleared of its rounding along rigid motions, where that is not to be decided here
     """
+    known: RefinedState | None = problem._computed.of_answer.refined[1]
+    ours = all(map(is_, problem._computed.of_answer.refined[0], _data(problem, start)))
+    if known and ours and cleared is None and known.regular and np.array_equal(known.status, status):
+        return known
 
     def system(directions: Array, turning: Vector | None) -> StateSystem:
         last: dict[bool, StateSystem] = rows.system
@@ -334,8 +339,7 @@ def refined_by(
     Parameters
     ----------
     make : function of slip directions (m, d-1) and their turning, returns the system
-    problem, rows, status, start, left
-        As in `refined_in`.
+    problem, rows, status, start, left : as in `refined_in`
     exact : form the residuals; those of the problem where it is None
     sweeps : at most so many are made in the plane
     caution : refinement goes on until this many times what it still has to do is negligible
@@ -386,16 +390,15 @@ def refined_by(
             directions, turning = slip_directions(rows, status, slip, whole[tied:pushed], directions)
         turns = in_space and sweep < TURNS and size > ROUNDED
         halves = in_space and ROUNDED < size < HALVED * last
-        if size <= BELOW_DOUBLES or (size > 0.5 * last and not turns and not halves):
-            break
         foreseen = size * min(caution * size / last, 1.0)
-        if size <= unseen or (sweep and foreseen <= BELOW_DOUBLES):
+        settled = size <= max(unseen, BELOW_DOUBLES) or (sweep and foreseen <= BELOW_DOUBLES)
+        if settled or (size > 0.5 * last and not turns and not halves):
             break
         elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None
     u, tie, force, stick = x.parted(*ends)
     friction = stick + force.spread(coefficients * directions)
-    return RefinedState(u, force, friction, tie, directions, correction, regular, system.redundant)
+    return RefinedState(u, force, friction, tie, status, directions, correction, regular, system.redundant)
 
 
 def answer_in(
@@ -407,8 +410,7 @@ def answer_in(
 
     Parameters
     ----------
-    problem, condensation, rows, status, start
-        As in `refined_in`.
+    problem, condensation, rows, status, start : as in `refined_in`
     """
     refined = refined_in(problem, condensation, rows, status, start)
     if not refined.regular:
@@ -417,12 +419,20 @@ def answer_in(
         near = refined.answer(rows.width)
         slender = refined_in(problem, condensation, rows, status, near, independent=True)
         refined = slender if slender.regular and not slender.redundant and _settled(slender) else refined
-    return without_noise(problem, condensation.unknown_scale, rows, refined.answer(rows.width), start)
+    answer = without_noise(problem, condensation.unknown_scale, rows, refined.answer(rows.width), start)
+    problem._computed.of_answer.refined = _data(problem, answer), refined
+    return answer
+
+
+def _data(problem: ContactProblem, answer: Answer) -> tuple[Any, ...]:
+    """Return what a refined answer belongs to besides the stiffness and the rows; all of it is read-only."""
+    return answer, problem.load, problem.gap, problem.tie_value, problem.slip_origin, problem.friction
 
 
 def _settled(refined: RefinedState) -> bool:
     """Return whether the last correction of the displacement is at the level of rounding of slip directions."""
-    return _part(refined.last.displacement, refined.displacement.double()) <= REFINEMENT_FAILED
+    moved, far = (abs(one).max(initial=0.0) for one in (refined.last.displacement, refined.displacement.double()))
+    return bool(far == 0 or moved <= REFINEMENT_FAILED * far)
 
 
 def slip_directions(
@@ -478,11 +488,6 @@ def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answ
     return Answer(u, *forces)
 
 
-def friction_bound(problem: ContactProblem, force: Extended, directions: Array) -> Extended:
-    """Return mu l_N t as a flat vector, exact in the plane, where mu t is a double."""
-    return force.spread(_coefficients(problem)[:, None] * directions)
-
-
 def _coefficients(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.friction is None else problem.friction
 
@@ -493,8 +498,3 @@ def _friction_of(answer: Answer, width: int) -> Array:
 
 def _origin(problem: ContactProblem) -> Vector:
     return np.zeros(problem.contacts) if problem.slip_origin is None else problem.slip_origin.ravel()
-
-
-def _part(change: Vector, whole: Vector) -> float:
-    largest = float(abs(whole).max(initial=0.0))
-    return float(abs(change).max(initial=0.0)) / largest if largest > 0 else 0.0

@@ -1,9 +1,12 @@
 """What a step with friction takes over from the one before: the local form of its contacts and systems of states."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.certificate.certificate import certificate_of
 from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
@@ -112,3 +115,21 @@ def test_an_answer_right_to_doubles_is_refined_once_by_its_certificate(block, mo
     assert again.passed
     assert again.distance <= 1e-15
     assert len(corrections) == 1
+
+
+def test_the_certificate_of_a_solve_takes_the_answer_before_it_was_rounded(block, monkeypatch):
+    """Method and certificate refine one combination once; of other data, or of copies, the answer is refined anew."""
+    refined, refine = [], friction_states.refined_by
+    monkeypatch.setattr(
+        friction_states, "refined_by", lambda *given, **more: refined.append(1) or refine(*given, **more)
+    )
+    found = cq.solve(block.replace(friction=0.1))
+    assert found.certificate.passed
+    assert len(refined) == 1
+    # The same arrays beside a coefficient of which they are no answer.
+    other = certificate_of(found.problem.replace(friction=0.05), found.answer)
+    assert len(refined) > 1
+    assert not other.passed
+    assert other.distance > 1e-3
+    anew = certificate_of(found.problem, replace(found.answer, normal_force=found.normal_force.copy()))
+    assert anew.distance == pytest.approx(found.certificate.distance, rel=1e-6, abs=1e-18)
