@@ -16,7 +16,7 @@ from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import PARAMETERS, QUANTITIES, Claim
 from contactqp.scene.fields import no_such, refuse_unknown
 from contactqp.scene.schema import Unknowns, end_time, load_names, start_values
-from contactqp.scene.units import Quantity
+from contactqp.scene.units import KINDS, Quantity
 from contactqp.solving.methods import Method, methods
 
 if TYPE_CHECKING:
@@ -107,8 +107,9 @@ def _has_mass(scene: SceneData) -> None:
 
 def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     assert scene.motion is not None
-    for key in ("displacements", "velocities"):
-        seen: dict[str, str] = {}
+    for key, kind in (("displacements", "length"), ("velocities", "velocity")):
+        unit = scene.system.label(KINDS[kind].dimension)
+        seen: dict[str, tuple[str, Fraction]] = {}
         for i, item in enumerate(getattr(scene.motion, key)):
             where = f"motion.{key}[{i}]"
             _one_thing(scene, f"{where}.of", item.of, unknowns)
@@ -120,9 +121,12 @@ def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
             if item.to is not None and item.of not in {bar.name for bar in scene.bars}:
                 raise SceneError(f"{where}.to ({item.of!r}): expected of a bar only, along which it is linear")
             for name, value in start_values(scene, item):
-                if name in seen:
-                    raise SceneError(f"{where} ({item.of!r}): expected {name!r} once, got it in {seen[name]} too")
-                seen[name] = where
+                before, stated = seen.setdefault(name, (where, value))
+                if stated != value:
+                    raise SceneError(
+                        f"{where} ({item.of!r}): expected {float(stated)!r} {unit} for {name!r}, as {before} states "
+                        f"it, got {float(value)!r} {unit}"
+                    )
                 if name in unknowns.fixed and value:
                     raise SceneError(f"{where} ({item.of!r}): expected 0 for {name!r}, which is fixed")
 

@@ -96,8 +96,13 @@ WRONG = {
     "a start of what is fixed": ('{ of = "c", value', '{ of = "a", value', "expected 0 for 'a.x', which is fixed"),
     "two starts": (
         '{ of = "b.x", value = ["1 mm"] }',
-        '{ of = "b.x", value = ["1 mm"] }, { of = "b", value = ["1 mm", "0 mm"] }',
-        "motion.displacements[1] ('b'): expected 'b.x' once, got it in motion.displacements[0] too",
+        '{ of = "b.x", value = ["1 mm"] }, { of = "b", value = ["2 mm", "0 mm"] }',
+        "motion.displacements[1] ('b'): expected 0.001 m for 'b.x', as motion.displacements[0] states it, got 0.002 m",
+    ),
+    "starts of two parts that share a node": (
+        '{ of = "c", value = ["1 m/s", "0 m/s"] }',
+        '{ of = "b", value = ["1 m/s", "2 m/s"] }, { of = "rod", value = ["1 m/s", "-2 m/s"] }',
+        "motion.velocities[1] ('rod'): expected 2.0 m/s for 'b.y', as motion.velocities[0] states it, got -2.0 m/s",
     ),
     "an end of a node": (
         'value = ["1 mm"] }',

@@ -203,6 +203,26 @@ def test_a_start_is_linear_along_a_bar():
     )
 
 
+def test_parts_that_share_a_node_may_both_state_its_start():
+    """Two bars in line turn about the end of the first, with 2 rad/s; the node between them is stated by both."""
+    bar = {"area": "1 cm^2", "modulus": "1 GPa", "density": "1 t/m^3"}
+    data = {
+        "title": "two bars that turn",
+        "axes": ["x", "y"],
+        "nodes": [{"name": f"{i}", "at": [f"{i}/10 m", "0 m"]} for i in range(3)],
+        "bars": [bar | {"name": f"bar {i}", "nodes": [f"{i}", f"{i + 1}"]} for i in range(2)],
+        "motion": {
+            "duration": "1 us",
+            "time_step": "1 us",
+            "velocities": [
+                {"of": f"bar {i}", "value": ["0 m/s", f"{i}/5 m/s"], "to": ["0 m/s", f"{i + 1}/5 m/s"]}
+                for i in range(2)
+            ],
+        },
+    }
+    assert cq.run(Scene(**data)).velocities[0] == pytest.approx([0, 0, 0, 0.2, 0, 0.4], rel=1e-15)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", ["consistent", "lumped"])
 def test_a_block_falls_without_strain_and_its_side_closes_and_opens_once(mass):
