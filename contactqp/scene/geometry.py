@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # meshes are imported where a scene has bodies
     from contactqp.elements.mesh import Mesh
     from contactqp.elements.mesh_files import Lattice
     from contactqp.elements.structure import Part
-    from contactqp.model.arrays import Array
+    from contactqp.model.arrays import Array, Mask
     from contactqp.model.solution import Solution
     from contactqp.scene.schema import Contact, SceneData
     from contactqp.scene.schema_bodies import Body, Membrane, MeshFile, Shape
@@ -222,7 +222,7 @@ def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
         contact, depth = scene.contacts[place], -float(gaps[place])
         if contact.obstacle is None:
             doubt = doubt_of_depth(depth, size, "the other node", scene.units.length)
-        elif _deeper(scene, contact, depth, points, beside):
+        elif _deeper(scene, contact, depth, points, beside) and not _wound(scene, contact, points, beside):
             where = f"{depth:.6g} {scene.units.length} inside" if depth else "on the surface of"
             deeper = "lies deeper still" if depth else "lies inside"
             what = f"{contact.obstacle!r}, and all that it is joined to {deeper}"
@@ -235,25 +235,40 @@ def _doubts_of_nodes(scene: SceneData, gaps: Array) -> dict[int, str]:
 
 
 def warn_of_unpushed(scene: SceneData, gaps: Array, history: Sequence[Solution]) -> None:
-    """Warn of contacts of nodes that start inside an obstacle, never have a force and end outside.
+    """Warn of contacts of nodes that start inside an obstacle, never have a force and end outside, and of a rope on the
+    planes of a polygon none of which ever pushes it.
 
-    Such an obstacle is turned the wrong way, which the initial positions do not show for a beam along it. Motions are
-    not checked.
+    Such an obstacle is turned the wrong way, which the initial positions do not show for a beam along it, nor for a
+    rope, which may lie on a post as well as in a trough. Motions are not checked.
     """
-    if scene.motion is not None or scene.large or scene.bodies or scene.membranes or not np.min(gaps, initial=0.0) < 0:
+    if scene.motion is not None or scene.bodies or scene.membranes or not np.min(gaps, initial=1.0) <= 0:
         return
     from contactqp.elements.pairing import CURE
 
     told, gaps = _doubts_of_nodes(scene, gaps), _beyond_rounding(scene, gaps)
-    for place in np.flatnonzero((gaps < 0) & (history[-1].contact_status == "open")).tolist():
+    pushed = np.any([solution.normal_force > 0 for solution in history], axis=0)
+    wound = _on_polygons(scene, gaps)
+    leaves = (history[-1].contact_status == "open") & ~pushed & ((gaps < 0) | (wound & ~pushed[wound].any()))
+    for place in np.flatnonzero(leaves).tolist():
         contact, depth = scene.contacts[place], -float(gaps[place])
-        if (
-            place not in told
-            and contact.obstacle is not None
-            and not any(solution.normal_force[place] > 0 for solution in history)
-        ):
-            where = f"it starts {depth:.6g} {scene.units.length} inside {contact.obstacle!r}"
-            warn_of_start(scene, place, f"{where} and ends outside, and nothing has pushed it: {CURE}; turn it round?")
+        if place not in told and contact.obstacle is not None:
+            where = f"{depth:.6g} {scene.units.length} inside" if depth else "on the surface of"
+            doubt = f"it starts {where} {contact.obstacle!r} and ends outside, and nothing has pushed it"
+            warn_of_start(scene, place, f"{doubt}: {CURE}; turn it round?")
+
+
+def _on_polygons(scene: SceneData, gaps: Array) -> Mask:
+    """Return which contacts are those of a rope that lies on planes round a convex body, by their initial gaps."""
+    points = {node: np.array(scene.point(node), dtype=float) for node in scene.every_node}
+    found, beside = np.zeros(len(gaps), dtype=bool), _neighbours(scene)
+    for place in np.flatnonzero(gaps <= 0).tolist():
+        contact = scene.contacts[place]
+        found[place] = (
+            contact.obstacle is not None
+            and _deeper(scene, contact, -float(gaps[place]), points, beside)
+            and _wound(scene, contact, points, beside)
+        )
+    return found
 
 
 def _neighbours(scene: SceneData) -> Mapping[str, set[str]]:
@@ -269,13 +284,10 @@ def _neighbours(scene: SceneData) -> Mapping[str, set[str]]:
 def _deeper(
     scene: SceneData, contact: Contact, depth: float, points: Mapping[str, Array], beside: Mapping[str, set[str]]
 ) -> bool:
-    """Return whether all nodes that the contact's node is joined to lie deeper inside of its obstacle, and the contact
-    is not one of a rope round a polygon.
-    """
-    joined = [node for node in sorted(beside[contact.touched[0]]) if node in points]
-    if not joined or _wound(scene, contact, joined, points):
+    """Return whether all nodes that the contact's node is joined to lie deeper inside of its obstacle."""
+    others = [points[node] for node in sorted(beside[contact.touched[0]]) if node in points]
+    if not others:
         return False
-    others = [points[node] for node in joined]
     try:
         distances = obstacle(scene, str(contact.obstacle)).distance(np.array(others))
     except InvalidProblem:  # the obstacle has no distance there
@@ -283,13 +295,13 @@ def _deeper(
     return bool(np.all(-np.asarray(distances, dtype=float) > depth * (1 + SAME_DEPTH)))
 
 
-def _wound(scene: SceneData, contact: Contact, joined: Sequence[str], points: Mapping[str, Array]) -> bool:
+def _wound(scene: SceneData, contact: Contact, points: Mapping[str, Array], beside: Mapping[str, set[str]]) -> bool:
     """Return whether the contact's node lies inside another obstacle that a node joined to it touches, as that of a
     rope does which lies on planes round a convex body.
     """
     node = contact.touched[0]
-    others = {c.obstacle for c in scene.contacts if c.obstacle is not None and c.node in joined} - {contact.obstacle}
-    for name in sorted(others):
+    touched = {c.obstacle for c in scene.contacts if c.obstacle is not None and c.node in beside[node]}
+    for name in sorted(touched - {contact.obstacle}):
         with suppress(InvalidProblem):  # the obstacle has no distance there
             if obstacle(scene, name).distance(points[node][None, :])[0] < 0:
                 return True

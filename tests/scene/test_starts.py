@@ -80,6 +80,31 @@ def test_a_rope_round_a_post_lies_inside_of_its_tangent_planes_which_is_right() 
     assert doubts_of(scene.problem) == []
 
 
+@pytest.mark.parametrize("more", [{}, {"deformation": "large", "path": {"steps": 2}}])
+@pytest.mark.parametrize(("normal", "load", "doubted"), [(1, -3, False), (1, 3, True), (-1, 3, False), (-1, -3, False)])
+def test_planes_under_a_rope_are_doubted_where_none_of_them_ever_pushes(
+    normal: int, load: int, doubted: bool, more: dict[str, Any]
+) -> None:
+    """A rope on the two flanks of a roof that is pulled off both: in a trough it would press onto them. Planes that it
+    does not lie inside of, as of a ceiling, it may leave.
+    """
+    places = [(-2, -2), (-1, 0), (1, 0), (2, -2)]
+    scene = cq.Scene(
+        title="rope", axes=["x", "y"],
+        nodes=[{"name": f"{i}", "at": [f"{x} m", f"{y} m"]} for i, (x, y) in enumerate(places)],
+        bars=[{"name": f"b{i}", "nodes": [f"{i}", f"{i + 1}"], "area": "1 cm^2", "modulus": "1 GPa"} for i in range(3)],
+        fixed=["0", "3"],
+        obstacles=[{"name": "left", "point": ["-1 m", "0 m"], "normal": [-normal, 2 * normal]},
+                   {"name": "right", "point": ["1 m", "0 m"], "normal": [normal, 2 * normal]}],
+        contacts=[{"name": "1", "node": "1", "obstacle": "left"}, {"name": "2", "node": "2", "obstacle": "right"}],
+        loads=[{"unknown": f"{i}.y", "value": f"{load} N"} for i in (1, 2)], **more,
+    )  # fmt: skip
+    assert doubts_of(scene.problem) == []
+    found = doubts_of(lambda: cq.run(scene))
+    assert [text.split(":")[0] for text in found] == [f"contacts[{i}] ('{i + 1}')" for i in range(2) if doubted]
+    assert all("on the surface of" in text and "ends outside, and nothing has pushed it" in text for text in found)
+
+
 @pytest.mark.parametrize(
     ("direction", "doubt"), [((1.0,), ""), ((-1.0,), "inside the other node, 33 % of the size of its body")]
 )
