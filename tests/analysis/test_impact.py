@@ -158,6 +158,21 @@ def test_newtons_cradle_hands_on_all_speed() -> None:
     assert [event.contact for event in history.events if event.kind == "closed"] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize(
+    ("gap", "step", "energy"), [(0.1, 0.01, 0.5), (0.001, 0.01, 3 / 5), (0.001, 0.003, 11 / 18), (0.001, 0.0005, 0.5)]
+)
+def test_paoli_and_schatzmans_scheme_gains_energy_where_contacts_of_a_ball_close_within_a_step(
+    gap: float, step: float, energy: float
+) -> None:
+    """The energies are those of u+ = -u- + 2 P(u), P the projection onto the gaps, in rational numbers."""
+    rows = np.eye(4, 5) - np.eye(4, 5, k=1)
+    balls = cq.ContactProblem(np.zeros((5, 5)), np.zeros(5), rows, np.full(4, gap))
+    start = np.zeros(5), [1.0, 0, 0, 0, 0]
+    history = cq.impact(balls, np.ones(5), *start, 1.0, step, "paoli-schatzman", restitution=1.0)
+    assert history.energies[-1].total == pytest.approx(energy, rel=1e-11)
+    assert any("the energy grows" in note for note in history.notes) is (energy > 0.5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_random_motions_pass_wherever_they_are_looked_at(seed: int) -> None:
