@@ -135,3 +135,39 @@ def test_a_single_mass_that_its_scheme_leaves_at_the_stop_is_told() -> None:
 def test_a_mesh_behind_the_contact_takes_its_momentum() -> None:
     history, _ = thrown_rod("deuflhard-krause-ertel", courant=1.0)
     assert not [note for note in history.notes if "keeps a velocity" in note]
+
+
+@pytest.mark.parametrize("scheme", ["deuflhard-krause-ertel", "modified-mass"])
+def test_a_tip_without_mass_on_a_spring_pushes_as_the_closed_form_says(scheme: str) -> None:
+    """A mass of 1 behind a spring of 100 meets a wall with 1: the force is 10 sin 10 t for pi/10, then it flies back.
+
+    A spring of 50 holds the tip along the wall against a load of 3; friction of 0.3 takes its part of that.
+    """
+    K = np.array([[100.0, -100.0, 0.0], [-100.0, 100.0, 0.0], [0.0, 0.0, 50.0]])
+    tip = cq.ContactProblem(K, [0.0, 0.0, 3.0], [[0.0, 1.0, 0.0]], [0.1], tangent=[[0.0, 0.0, 1.0]], friction=0.3)
+    history = cq.impact(tip, [1.0, 0.0, 0.0], [0, 0, 0.06], [1.0, 1.0, 0.0], 0.6, 1e-3, scheme)
+    since = history.times - 0.1
+    force = np.where((since > 0) & (since < np.pi / 10), 10 * np.sin(10 * since), 0.0)
+    np.testing.assert_allclose(history.normal_forces[:, 0], force, atol=0.02)
+    np.testing.assert_allclose(history.displacements[:, 2] * 50 + history.friction_forces[:, 0, 0], 3.0, rtol=1e-9)
+    assert np.all(abs(history.friction_forces[:, 0, 0]) <= 0.3 * history.normal_forces[:, 0] * (1 + 1e-12))
+    assert history.velocities[-1, 0] == pytest.approx(-1.0, abs=1e-3)
+    assert history.energies[-1].total == pytest.approx(history.energies[0].total, rel=1e-4)
+    assert all(instant.certificate.passed for instant in history[90:450:40])
+
+
+def test_beams_between_point_masses_move_with_the_contact_stabilised_scheme() -> None:
+    """Their rotations have no mass, and keep the motion that rotations condensed out of the stiffness have."""
+    K = np.array([[24.0, 0.0, -12.0, 6.0], [0.0, 8.0, -6.0, 2.0], [-12.0, -6.0, 12.0, -6.0], [6.0, 2.0, -6.0, 4.0]])
+    turns, moves = [1, 3], [0, 2]
+    inner = np.linalg.solve(K[np.ix_(turns, turns)], K[np.ix_(turns, moves)])
+    condensed = K[np.ix_(moves, moves)] - K[np.ix_(moves, turns)] @ inner
+    stop, scheme = {"normal": [[0.0, 0.0, -1.0, 0.0]], "gap": [0.2]}, "deuflhard-krause-ertel"
+    beam = cq.impact(
+        cq.ContactProblem(K, np.zeros(4), **stop), [1, 0, 1, 0], np.zeros(4), [0, 0, -1, 0], 3, 0.01, scheme
+    )
+    stop["normal"] = [[0.0, -1.0]]
+    small = cq.impact(cq.ContactProblem(condensed, [0, 0], **stop), [1, 1], np.zeros(2), [0, -1], 3, 0.01, scheme)
+    assert small.normal_forces.any()
+    np.testing.assert_allclose(beam.displacements[:, moves], small.displacements, atol=1e-12)
+    np.testing.assert_allclose(beam.normal_forces, small.normal_forces, atol=1e-9)

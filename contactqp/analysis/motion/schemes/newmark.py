@@ -23,7 +23,9 @@ The contact-stabilised scheme (Deuflhard, Krause and Ertel 2008) projects the pr
     v+ = v + 2 (u+ - w) / h
 
 The forces of the projection do not enter the velocity: a contact node keeps its velocity until the body behind it has
-taken its momentum. If the mass at the contact is the whole mass, it stays at its obstacle.
+taken its momentum. If the mass at the contact is the whole mass, it stays at its obstacle. The projection does not
+determine unknowns without mass, such as rotations of beams between point masses, and the step does not use them; they
+are in static equilibrium at its end, as with modified mass.
 """
 
 from __future__ import annotations
@@ -131,7 +133,12 @@ class ContactStabilised(Scheme):
         self.body = body
         self.inertia = 4 / body.step**2
         self._inertia = self.inertia / 2 * body.mass
-        predictor = body.template(self._inertia)
+        self._massless = massless(body.mass)
+        # Factors of forces: those on unknowns without mass are those at the end of the step alone, halved as K is.
+        self._contact_share = np.where(body.on_massless("contact", self.name), 2.0, 1.0)
+        self._tie_share = np.where(body.on_massless("tie", self.name), 2.0, 1.0)
+        only = sp.diags(self._massless.astype(float))
+        predictor = body.template(self._inertia + only @ body.stiffness @ only)
         if predictor.frictional:
             predictor = predictor.replace(friction=0.0)
         self.templates = (predictor, body.template(self._inertia + body.stiffness / 2))
@@ -141,20 +148,35 @@ class ContactStabilised(Scheme):
         limits = body.problem.gap, None, body.slip_from(u), body.problem.tie_value, u
         if not answers:
             return StepProblem(self._inertia @ (body.step * state.velocity), *limits)
-        force = self._inertia @ answers[0].increment + (load + next_load) / 2 - body.stiffness @ u
-        return StepProblem(force, *limits)
+        internal = body.stiffness @ u
+        force = np.where(self._massless, (next_load - internal) / 2, (load + next_load) / 2 - internal)
+        return StepProblem(self._inertia @ answers[0].increment + force, *limits)
 
     def accept(self, state: State, answers: tuple[StepResult, ...]) -> State:
-        predicted, found = answers
-        v = state.velocity + 2 / self.body.step * (found.increment - predicted.increment)
-        return State(found.unknown, found.normal, found.friction, found.tie, v, state.displacement)
+        (predicted, found), h = answers, self.body.step
+        v = state.velocity + 2 / h * (found.increment - predicted.increment)
+        v[self._massless] = found.increment[self._massless] / h
+        forces = self._contact_share * found.normal, self._friction_share * found.friction, self._tie_share * found.tie
+        return State(found.unknown, *forces, v, state.displacement)
 
     def answered(self, before: State, after: State) -> tuple[StepResult, ...]:
         """Return the results of both problems, without the forces of the projection."""
         (found,) = super().answered(before, after)
+        forces = {
+            "normal": found.normal / self._contact_share,
+            "friction": found.friction / self._friction_share,
+            "tie": found.tie / self._tie_share,
+        }
+        found = replace(found, **forces)
         motion = found.increment - self.body.step / 2 * (after.velocity - before.velocity)
         normal, friction, tie = (np.zeros_like(force) for force in (found.normal, found.friction, found.tie))
         return StepResult(before.displacement + motion, normal, friction, tie, motion), found
+
+    @property
+    def _friction_share(self) -> Vector:
+        """Return the factor of each component of friction, that of its contact."""
+        rows = self.body.tangent.shape[0]
+        return np.repeat(self._contact_share, rows // max(len(self._contact_share), 1)) if rows else np.zeros(0)
 
     def notes(self, states: Sequence[State]) -> Iterator[str]:
         """Yield a note on the energy in velocities of resting contacts towards their obstacles, if it is large.
