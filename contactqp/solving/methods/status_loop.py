@@ -3,15 +3,17 @@
 The system of the current statuses is solved. Then an open contact that penetrates closes and sticks, a closed one in
 tension opens, a sticking one with |l_T| > mu l_N slips in the direction of its friction, and a slipping one whose slip
 opposes its friction sticks. This is repeated until nothing changes. If it cycles, or if so many contacts opened that a
-body floats, one contact is changed at a time, the one of least index first, to an untried combination; if none is left,
-the search goes back to an earlier step. With several contacts this may take long, and above a critical coefficient of
-friction there may be no answer or several (Klarbring 1990), of which the first found is taken.
+body floats, one contact is changed at a time, the one of least index first, to an untried combination; where bodies
+float, then also one while another that slips sticks instead, as the first may be the last that holds them. If none is
+left, the search goes back to an earlier step. With several contacts this may take long, and above a critical
+coefficient of friction there may be no answer or several (Klarbring 1990), of which the first found is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import scipy.sparse as sp
@@ -158,6 +160,8 @@ class _Loop:
                 return found
             self._together = len(self.history)
         self._ways.append(_one_by_one(step, following))
+        if self._bodies.rigid.shape[1]:
+            self._ways[-1] = chain(self._ways[-1], _exchanged(step, following, self._friction > 0))
         while self._ways:
             for changed, newcomer in self._ways[-1]:
                 found = self._untried(changed, ~newcomer)
@@ -254,4 +258,17 @@ def _one_by_one(step: FrictionalStep, following: Status) -> Iterator[tuple[Statu
             if way[i] != step.status[i]:
                 changed = step.status.copy()
                 changed[i] = way[i]
+                yield changed, changed != step.status
+
+
+def _exchanged(step: FrictionalStep, following: Status, rough: Mask) -> Iterator[tuple[Status, Mask]]:
+    """Yield statuses in which a wrong contact is changed by its signs while a slipping one sticks instead, and both.
+
+    Of bodies that float the contact may be the last one that holds them.
+    """
+    for i in np.flatnonzero(following != step.status):
+        for j in np.flatnonzero((abs(step.status) == 1) & rough):
+            if i != j:
+                changed = step.status.copy()
+                changed[i], changed[j] = following[i], STICK
                 yield changed, changed != step.status

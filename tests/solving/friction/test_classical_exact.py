@@ -344,3 +344,21 @@ def test_an_answer_of_the_loop_that_is_wrong_is_refused() -> None:
     right.candidate = replace(candidate, answer=replace(candidate.answer, friction_force=-candidate.friction_force))
     with pytest.raises(cq.NotCertified, match="equilibrium"):
         right.finish()
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [1, 2, 0], [2, 1, 0]])
+@pytest.mark.parametrize("name", ["lagrange-multiplier", "master-slave", "augmented", "augmented, 0"])
+def test_a_contact_that_sticks_alone_slips_where_another_sticks_instead(name: str, order: list[int]) -> None:
+    """Three masses on springs slide on a floor: after two steps the last one that sticks should slip, and none would
+    hold them. The first, which slipped against its later friction, sticks instead: forces -3/10, 1 and 1.
+    """
+    chain = 10.0 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])[np.ix_(order, order)]
+    K, none, along = np.zeros((6, 6)), np.zeros((3, 3)), np.eye(3)
+    K[:3, :3] = chain
+    load = np.append(np.array([-1.5, 0.7, 2.5])[order], [-2.0, -2.0, -2.0])
+    rows = {"normal": np.hstack([none, -along]), "tangent": np.hstack([along, none])}
+    problem = cq.ContactProblem(K, load, gap=np.zeros(3), friction=0.5, **rows)
+    solution = solved(name, problem)
+    np.testing.assert_allclose(solution.friction_force.ravel(), np.array([-0.3, 1.0, 1.0])[order], rtol=1e-12)
+    np.testing.assert_allclose(solution.displacement[:3], np.array([0.0, 0.12, 0.27])[order], atol=1e-13)
+    assert solution.contact_status.tolist() == np.array(["stick", "slip", "slip"])[order].tolist()
