@@ -135,7 +135,8 @@ def run_command(
             one = not foreign and len(named) == 1 and len(methods) <= 1
             if not one or engine != SERIAL or any((checkpoint, vtu)):
                 told = "expected one case file, one method and one process, to print, --plot or --csv"
-                raise InvalidProblem(f"--loads: {told}")
+                of_matrices = "; a problem of matrices takes contactqp.solve_many, in Python" if foreign else ""
+                raise InvalidProblem(f"--loads: {told}{of_matrices}")
             sys.exit(_run_loads(named[0], loads, methods, knobs, (plot, csv), time_limit, as_json, quiet))
         scenes, files = _read(named, plot, vtu, csv, every_method=bool(methods))
         asked = _Asked(

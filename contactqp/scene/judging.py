@@ -436,7 +436,11 @@ def case_files(arguments: Iterable[str]) -> list[str]:
             continue
         found = sorted(str(file) for file in Path(argument).glob("*.toml"))
         if not found:
-            raise SceneError(f"{argument}: expected case files (*.toml) in this folder, got none")
+            from contactqp.exchange.problem_files import is_problem_file  # not loaded for a case
+
+            matrices = "a problem of matrices; contactqp.compare and contactqp.solve_many take those, in Python"
+            found_there = matrices if is_problem_file(argument) else "none"
+            raise SceneError(f"{argument}: expected case files (*.toml) in this folder, got {found_there}")
         files += found
     refuse_undecodable(*files)
     return files

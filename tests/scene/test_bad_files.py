@@ -310,6 +310,10 @@ def test_what_is_no_file_is_refused(tmp_path, capsys):
     assert "got a directory" in complaint(capsys, "explain", str(tmp_path))
     assert "expected case files (*.toml) in this folder" in complaint(capsys, "run", str(tmp_path))
     assert complaint(capsys, "run", "bad\0name.toml")
+    (tmp_path / "K.csv").write_text("1\n")
+    words = "got a problem of matrices; contactqp.compare and contactqp.solve_many take those, in Python"
+    assert words in complaint(capsys, "report", str(tmp_path))
+    assert "contactqp.solve_many, in Python" in complaint(capsys, "run", str(tmp_path), "--loads", "loads.csv")
 
 
 def test_a_wrong_entry_is_not_told_as_a_list_that_is_too_short(tmp_path, capsys):
