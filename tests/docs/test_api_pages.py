@@ -36,6 +36,7 @@ def test_every_public_name_is_documented_once() -> None:
         "contactqp.analysis.load_cases.Envelope",
         "contactqp.linalg.existence.Conflict",
         "contactqp.linalg.existence.DrivenMotion",
+        "contactqp.model.quadratic_program.answer_of_program",
         "contactqp.model.solution.Answer",
         "contactqp.model.solution.Candidate",
         "contactqp.model.solution.FreeMotion",
