@@ -98,6 +98,7 @@ from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Ans
 
 VANISHING = 1e-22  # errors with an energy norm below this part of the displacement's are rounding of refinement
 CORRECTIONS, LAST_CORRECTIONS = 3, 50  # of each possible set of the candidate, and of the first one after all fail
+LEAST_PART = 1e-6  # contact forces below this part of tie forces have errors that are negligible relative to these
 NEXT_TO_NOTHING = 1e-12  # forces below this part of the displacement's energy norm have absolute errors, and vice versa
 STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid part may be due to rounding of K
 # Why forces that contacts and ties share have no bound although their resultants have one.
@@ -216,15 +217,6 @@ def admissible_pair(
     ----------
     problem, answer, residual, condensation : as in `error_bounds`
     """
-    pair = _nearest_pair(problem, answer, residual, condensation)
-    if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive no motion
-        refuse_unbalanced(problem, answer, condensation, pair)
-    return pair
-
-
-def _nearest_pair(
-    problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation
-) -> AdmissiblePair:
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
     found, taken = _holding(problem, condensation, first, CORRECTIONS, answer, residual)
@@ -240,8 +232,12 @@ def _nearest_pair(
     if found is None and (searched := searched_set(problem, condensation)) is not None:
         found, _ = _holding(problem, condensation, searched, CORRECTIONS, answer, residual)
     if found is None:
-        return from_repair(problem, answer, condensation, first)
-    return _from_set(problem, answer, condensation, found)
+        pair = from_repair(problem, answer, condensation, first)
+    else:
+        pair = _from_set(problem, answer, condensation, found)
+    if condensation.rigid.count and (problem.load.any() or pair.force.double().any()):  # ties alone drive no motion
+        refuse_unbalanced(problem, answer, condensation, pair)
+    return pair
 
 
 def _holding(
@@ -335,7 +331,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
     force_bound, unique = _force_bound(problem, answer, condensation, pair)
     every = np.ones(problem.contacts + problem.ties, dtype=bool) if unique is None else unique
-    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing, every[problem.contacts :])
+    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing, force_bound, every)
     # So does a strain that is negligible beside that of contact forces, which the load balances directly.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     elastic = problem.diagonal.any()  # otherwise all energy norms are zero
@@ -380,42 +376,46 @@ def _force_error(
     pair: AdmissiblePair,
     changes: tuple[Extended, Extended],
     vanishing: float,
-    unique: Mask,
+    bound: Vector,
+    every: Mask,
 ) -> tuple[float, float, tuple[float, float]]:
     """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
 
-    `changes` are the answer's forces of contacts (m,) and ties (k,) less those of the pair. Forces up to `vanishing`,
-    the rounding of the data, are zero. Where ties act, W is also taken without them, of contact forces alone and with
-    those of ties, which differ from the true ones by |w - u*|_K. For slender floating bodies these are not sharp, and
-    the `unique` (k,) forces of ties are compared one by one. The largest error is the bound.
+    `changes` are the answer's forces of contacts (m,) and ties (k,) less the pair's. Forces up to `vanishing` are
+    rounding. Where ties act, W is also taken without them, of all forces, which are |w - u*|_K from the true ones, and
+    of contact forces alone, which a nearly parallel tie may carry, by (4), `bound` (m,). For slender floating bodies
+    these are not sharp, and unique forces of ties, by `every` (m + k,), are compared one by one.
     """
+    unique, bound = every[problem.contacts :], np.where(every[: problem.contacts], bound, 0.0)
     floats, independent = condensation.rigid.count > 0, pair.exact and bool(unique.all())
-    norms = [(True, False)]
+    carried = max(pair.dual_radius, float(np.sqrt(condensation.delassus.compliance[: problem.contacts]) @ bound))
+    tied, whole, alone = ((True, False, pair.dual_radius), (False, True, pair.dual_radius), (False, False, carried))
+    norms = [tied]
     if problem.ties > 0 and not (floats and independent):
-        norms += [(False, True)] if floats or not pair.exact else [(False, False), (False, True)]
+        norms += [whole] if floats or not pair.exact else [alone, whole]
     found: list[tuple[float, float, float]] = []
-    for tied, with_ties in norms:
-        scale, uncertain = force_norm(problem, condensation, pair.force, tied, pair.tie_force if with_ties else None)
-        error = force_norm(problem, condensation, changes[0], tied, changes[1] if with_ties else None)
-        if not tied and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
+    for held, with_ties, radius in norms:
+        scale, uncertain = force_norm(problem, condensation, pair.force, held, pair.tie_force if with_ties else None)
+        error = force_norm(problem, condensation, changes[0], held, changes[1] if with_ties else None)
+        if not held and uncertain > FEW_DIGITS * scale and (found[0][1] > 0 or floats):
             continue  # without ties K is singular to rounding, without such a norm
-        found.append((sum(error) + pair.dual_radius, 0.0 if scale <= vanishing else scale, uncertain))
-    if len(found) > 1 and 0 < found[0][1] <= found[0][2]:
+        found.append((sum(error) + radius, 0.0 if scale <= vanishing else scale, uncertain + radius))
+    seen = len(found) > 1 and (found[0][1] > 0 or (alone in norms and found[1][1] > 0))
+    if seen and found[0][1] <= found[0][2] - pair.dual_radius:
         found = found[1:]  # contact forces are balanced by ties up to rounding
-    (_, size, uncertain), *_ = found
-    largest = missed = 0.0
+    largest, missed, (_, size, uncertain) = 0.0, 0.0, found[0]
     if pair.exact and unique.any():
         own = own_forces(problem, pair.force.double(), pair.tie_force.double())
         # A contact at unknowns without stiffness pushes on what ties hold to them.
         unseen = extend(np.where(own[: problem.contacts] == 0, pair.force.double(), 0.0))
         largest = max(float(np.max(own)), force_norm(problem, condensation, unseen)[0])
-        turned = np.where(unique, changes[1].double(), 0.0)
-        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), turned)))
-    if size == 0:  # without contact forces, those of ties are also compared directly
-        # Forces that are zero in a repaired pair may have any size up to its radius.
-        absolute = max(max(apart for apart, *_ in found) + pair.dual_radius + uncertain, missed)
-        return (absolute if pair.exact or pair.dual_radius <= vanishing else np.inf), size, (missed, largest)
-    errors = (relative_error(apart, scale, pair.dual_radius + unsure) for apart, scale, unsure in found)
+        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), unique * changes[1].double())))
+    if size == 0:  # those of ties are compared directly, too; zeros of the pair may be as large as its radius
+        absolute = max(max(apart for apart, *_ in found) + uncertain, missed)
+        untold = float(np.max(own_forces(problem, bound, np.zeros(problem.ties)), initial=0.0)) if problem.ties else 0.0
+        known = (untold if pair.exact else pair.dual_radius) <= max(vanishing, LEAST_PART * largest)
+        return (absolute if known else np.inf), size, (missed, largest)
+    errors = (relative_error(apart, scale, unsure) for apart, scale, unsure in found)
     return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
 
 

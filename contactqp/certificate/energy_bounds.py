@@ -35,7 +35,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.balance import imposed_work, work_that_meets
-from contactqp.certificate.bounds import REDUNDANT, Bounds, no_bounds
+from contactqp.certificate.bounds import LEAST_PART, REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
 from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg import convexity
@@ -51,7 +51,7 @@ from contactqp.linalg.equilibration import (
     reach,
     rows_alone,
 )
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
@@ -85,8 +85,6 @@ MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
 AWAY = 1e6
 # An answer is accepted if it is this close to a solution up to such a conflict.
 CLOSE_BY = 1e-6
-# Contact forces below this part of tie forces have errors that are negligible relative to these.
-LEAST_PART = 1e-6
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
@@ -123,13 +121,13 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))
-    found, untold = _from_solution(twin, start, state, scaling, definite=factor is not None)
+    found, untold, solution = _from_solution(twin, start, state, scaling, definite=factor is not None)
     if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
         return found
     # If K is regular, forces are compared by the response of the untied bodies to them, with and without ties.
-    change = extend(start.normal_force) - state.answer.normal_force, extend(start.tie_force) - state.answer.tie_force
+    change = extend(start.normal_force) - solution.normal_force, extend(start.tie_force) - solution.tie_force
     felt = []
-    for push, held in ((state.answer.normal_force, state.answer.tie_force), change):
+    for push, held in ((solution.normal_force, solution.tie_force), change):
         pushed = problem.normal.T @ (push.double() * scaling.force / scaling.contacts)
         tied = problem.tie.T @ (held.double() * scaling.force / scaling.ties)
         felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
@@ -148,8 +146,9 @@ def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
 
 def _from_solution(
     problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
-) -> tuple[Bounds, float]:
-    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin, and |U - u*|_K.
+) -> tuple[Bounds, float, ExtendedAnswer]:
+    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin, |U - u*|_K, and
+    the solution with which forces were compared.
 
     If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
     contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ.
@@ -165,7 +164,7 @@ def _from_solution(
     moved = abs(solution.displacement)
     rounding = NO_LENGTH * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
     if elastic < -NEGATIVE * size - rounding:
-        return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM), 0.0
+        return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM), 0.0, held.answer
     unique = unique_on(held)
     if unique.forces and np.array_equal(state.closed, held.closed):
         held = state  # all rows of the same set are met together
@@ -211,9 +210,9 @@ def _from_solution(
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
     if state.length_residual <= MET_TOGETHER:
-        return found, untold * root
+        return found, untold * root, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
-    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root
+    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root, held.answer
 
 
 def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, Vector, float]:

@@ -220,3 +220,33 @@ def test_a_force_that_a_tie_holds_is_compared_with_that_of_the_tie_beside_a_larg
     assert cq.certify(problem, u, pressed, tie_force=held).proven
     assert cq.solve(problem).normal_force == pytest.approx(pressed, rel=1e-5)
     assert not cq.certify(problem, u, 1.001 * pressed, tie_force=held).passed
+
+
+@pytest.mark.parametrize(("exponent", "stiffness", "others"), [(27, 1024.0, 0), (29, 64.0, 0), (29, 1024.0, 1)])
+def test_the_force_error_counts_a_contact_that_a_nearly_parallel_tie_may_carry(
+    exponent: int, stiffness: float, others: int
+) -> None:
+    """The norm of contact forces without ties was bounded as if the tie's force could not be off for them."""
+    K, tie = np.diag([stiffness, 4096.0, 32768.0]), np.array([[1.0, 0.0, 2.0**-exponent * (others > 0)]])
+    rows = np.array([[1.0, 0.0, 2.0**-exponent * (others == 0)], [0.5, 1.0, 0.0]])[: 1 + others]
+    u, pressed, held = np.array([0.125, 0.125, 0.5]), np.array([1.75, 0.5])[: 1 + others], np.array([0.75])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    assert cq.certify(problem, u, pressed, tie_force=held).proven
+    missed = 1.75 * np.eye(1 + others)[0]
+    judged = cq.certify(problem, u, pressed - missed, tie_force=held + 1.75)
+    apart, whole = (np.linalg.norm((rows.T @ forces) / np.sqrt(np.diag(K))) for forces in (missed, pressed))
+    assert not judged.passed
+    assert judged.force_error is None or judged.force_error >= (1 - 1e-14) * apart / whole
+
+
+def test_forces_are_compared_with_those_of_the_solution_that_meets_all_rows() -> None:
+    """The response was that to forces of a state whose rows were met to 1e-18, which are those of the answer."""
+    K, rows = np.diag([330.0, 0.004852294921875, 23.02978515625]), np.array([[1.25, -0.25, -0.5]] * 2)
+    rows[1, 0] -= 2.0**-22
+    u, right = np.array([-1.0, 0.5, 0.25]), np.array([0.75, 0.078125])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ right, rows, rows @ u)
+    for wrong in (np.array([0.675, 0.15312500000525214]), np.array([0.375, 0.453125])):
+        apart, whole = (np.linalg.norm((rows.T @ forces) / np.sqrt(np.diag(K))) for forces in (wrong - right, right))
+        found = energy_bounds(problem, Answer(u, wrong, None, np.zeros(0)))
+        assert found.force_error is not None
+        assert found.force_error >= (1 - 1e-7) * apart / whole
