@@ -45,15 +45,8 @@ class Table:
 
     def text(self) -> str:
         """Return the table in columns of equal width, the first one to the left."""
-        widths = [max(len(row[i]) for row in (self.columns, *self.rows)) for i in range(len(self.columns))]
-
-        def line(row: tuple[str, ...]) -> str:
-            first, *others = (cell.ljust(width) if i == 0 else cell.rjust(width)
-                              for i, (cell, width) in enumerate(zip(row, widths, strict=True)))  # fmt: skip
-            return "  " + "  ".join([first, *others]).rstrip()
-
-        note = [f"  {self.note}"] if self.note else []
-        return "\n".join([self.title, *map(line, (self.columns, *self.rows)), *note])
+        lines = [*aligned((self.columns, *self.rows), "<>"), *filter(None, [self.note])]
+        return "\n".join([self.title, *(f"  {line}" for line in lines)])
 
     def html(self) -> str:
         """Return the table as HTML."""
@@ -64,6 +57,31 @@ class Table:
         body = "".join(cells(row, "td") for row in self.rows)
         note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
         return f"<p>{html.escape(self.title)}</p><table>{cells(self.columns, 'th')}{body}</table>{note}"
+
+
+def aligned(rows: Sequence[Sequence[str]], sides: str = "<<") -> list[str]:
+    """Return rows of cells as lines of text in columns, to the left (<) or right (>): the first one, and the others.
+
+    >>> aligned([("contact", "force"), ("tip", "2")], "<>")
+    ['contact  force', 'tip          2']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    every = sides[0] + sides[1] * (len(widths) - 1)
+    shapes = [f"{{:{side}{width}}}" for side, width in zip(every, widths, strict=True)]
+    return ["  ".join(shape.format(cell) for shape, cell in zip(shapes, row, strict=True)).rstrip() for row in rows]
+
+
+def finite(value: Any) -> Any:
+    """Return a number, or an array as lists, with None in place of what is not finite, which JSON cannot write.
+
+    >>> finite(2), finite(np.inf), finite(np.array([1.0, np.nan])), finite(None)
+    (2.0, None, [1.0, None], None)
+    """
+    if value is None:
+        return None
+    if np.ndim(value):
+        return [finite(one) for one in value]
+    return float(value) if np.isfinite(value) else None
 
 
 class Printed:
@@ -118,11 +136,7 @@ def headline(solution: Any, energy: float | None = None) -> list[str]:
     first = f"{solution.method}: {verdict_of(certificate)}; {energy_text}; {1e3 * solution.seconds:.3g} ms"
     sentences = [*certificate.failures, *(f"note: {note}" for note in certificate.notes)]
     sentences += [f"free to move: {motion}" for motion in solution.free_motions]
-    return [*_first_lines(first), *wrapped(*sentences)]
-
-
-def _first_lines(text: str) -> list[str]:
-    return folded(text, "", "  ")
+    return [*folded(first, "", "  "), *wrapped(*sentences)]
 
 
 def folded(text: str, first: str, others: str) -> list[str]:
@@ -436,7 +450,7 @@ def local_summary(solution: Any) -> str:
     rows = tuple((f"contact {i}", str(solution.contact_status[i]), *map(number, values[i])) for i in shown)
     title = _title_of_contacts(solution.contact_status, True, len(shown))
     first = f"{solution.method}: {verdict}; {1e3 * solution.seconds:.3g} ms"
-    lines = [*_first_lines(first), *wrapped(*sentences)]
+    lines = [*folded(first, "", "  "), *wrapped(*sentences)]
     return "\n".join([*lines, Table(title, columns, rows).text()])
 
 

@@ -17,7 +17,8 @@ from contactqp.model.arrays import Array, Mask, Vector, own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import BY_DISPLACEMENT, Answer, HoldsAnswer
-from contactqp.oracle.foreign.judging import GivenAnswer, aligned, right_answer
+from contactqp.model.summary import aligned
+from contactqp.oracle.foreign.judging import GivenAnswer, right_answer
 from contactqp.oracle.gallery.problem import GalleryProblem
 from contactqp.oracle.judged_answer import JudgedAnswer, certify, read_given
 

@@ -11,8 +11,8 @@ from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.model.arguments import checked
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import ANSWER_PARTS
+from contactqp.model.summary import aligned
 from contactqp.oracle.assertions import solution_fault
-from contactqp.oracle.foreign.judging import aligned
 from contactqp.oracle.gallery.gallery import problems as gallery_problems
 from contactqp.oracle.gallery.problem import GalleryProblem
 

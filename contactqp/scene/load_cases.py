@@ -18,7 +18,7 @@ from contactqp.errors import InvalidProblem, Unsupported, counted
 from contactqp.exchange.files import write_whole
 from contactqp.exchange.tables import CaseRows, read_case_rows
 from contactqp.model.problem import ContactProblem
-from contactqp.model.summary import number
+from contactqp.model.summary import finite, number
 from contactqp.scene.judging import Knob, Trial
 from contactqp.scene.scene import build_for
 from contactqp.scene.schema import SceneData
@@ -127,7 +127,7 @@ def cases_data(answers: CaseAnswers) -> list[dict[str, Any]]:
     status, names = many.contact_status, [problem.contact_name(j) for j in range(problem.contacts)]
 
     def by_name(values: Any) -> dict[str, Any]:
-        found = (value if isinstance(value, str | list) or np.isfinite(value) else None for value in values.tolist())
+        found = values.tolist() if values.dtype.kind == "U" else finite(values)
         return dict(zip(names, found, strict=True))
 
     return [

@@ -20,7 +20,7 @@ from contactqp.analysis.history import History
 from contactqp.analysis.large.deformation import LargeHistory
 from contactqp.model.arrays import Array
 from contactqp.model.solution import FIGURES_ALONE, LOCALLY, STATE, Certificate
-from contactqp.model.summary import FEW_EVENTS, MOST_EVENTS, events_together, without_rounding
+from contactqp.model.summary import FEW_EVENTS, MOST_EVENTS, events_together, finite, without_rounding
 from contactqp.scene.answers import clean_gaps, friction_along_axes
 from contactqp.scene.building import NodeModel
 from contactqp.scene.courses import of_contacts, print_courses, print_instants, time_label
@@ -378,7 +378,7 @@ def judgement_data(judgement: Judgement | Failure) -> dict[str, Any]:
         "knobs": {name: str(knob) for name, knob in judgement.trial.knobs.items()},
         "met": judgement.met,
         "seconds": solution.seconds,
-        "energy": _finite(solution.energy),
+        "energy": finite(solution.energy),
         "displacement": _named(solution.problem.dof_names, solution.displacement),
         "normal_force": _named(names, solution.normal_force),
         "gap": _named(names, solution.gap),
@@ -424,7 +424,7 @@ def _friction_data(judgement: Judgement) -> dict[str, Any]:
         data["friction_force"] = {name: _named(scene.axes, row) for name, row in zip(names, vectors, strict=True)}
         components = np.asarray(solution.friction_force).reshape(len(names), -1)
         data["friction_components"] = {
-            name: [_finite(float(part)) for part in row] for name, row in zip(names, components, strict=True)
+            name: [finite(float(part)) for part in row] for name, row in zip(names, components, strict=True)
         }
     return data
 
@@ -447,7 +447,7 @@ def _history_data(judgement: Judgement) -> dict[str, Any]:
     history = judgement.history
     if len(history) < 2:
         return {}
-    forces = {contact: [_finite(float(x)) for x in force] for contact, force in of_contacts(judgement, history)}
+    forces = {contact: [finite(float(x)) for x in force] for contact, force in of_contacts(judgement, history)}
     times = [float(t) for t in history.times]
     data: dict[str, Any] = {"over": time_label(judgement.scene), "at": times, "normal_force": forces}
     names, friction = judgement.solution.problem.contact_names or (), history.friction_forces
@@ -475,13 +475,8 @@ def large_data(history: History) -> dict[str, Any]:
 
 
 def _comparison_data(row: Comparison) -> dict[str, Any]:
-    return asdict(row) | {"error": _finite(row.error)}
+    return asdict(row) | {"error": finite(row.error)}
 
 
 def _named(names: Iterable[str] | None, values: Iterable[float]) -> dict[str, float | None]:
-    return {name: _finite(value) for name, value in zip(names or (), values, strict=True)}
-
-
-def _finite(value: float) -> float | None:
-    """Return a number, or None where it is not finite, which JSON cannot write."""
-    return float(value) if math.isfinite(value) else None
+    return {name: finite(value) for name, value in zip(names or (), values, strict=True)}

@@ -26,6 +26,7 @@ from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LOCALLY, LocalCertificate, reasons_together
+from contactqp.model.summary import finite
 from contactqp.oracle.diagnosis.scales import named_factor
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
@@ -33,8 +34,7 @@ from contactqp.scene.scene import load_scene
 from contactqp.scene.tables import ENDLESS, print_wrapped
 from contactqp.solving.solve import solve
 from contactqp.study.friction_files import MOST_CONTACTS, figures, vector_text
-from contactqp.study.rows import finite
-from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, finite_list, read_areas, read_order
+from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, read_areas, read_order
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +166,10 @@ class WorstContact:
             "contact": self.name,
             "figure": self.figure,
             "size": finite(self.size),
-            "force": finite_list(self.force),
-            "velocity": finite_list(self.velocity),
-            "right_force": finite_list(self.right_force),
-            "right_velocity": finite_list(self.right_velocity),
+            "force": finite(self.force),
+            "velocity": finite(self.velocity),
+            "right_force": finite(self.right_force),
+            "right_velocity": finite(self.right_velocity),
         }
 
 

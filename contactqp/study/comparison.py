@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,12 +27,12 @@ from contactqp.model.arguments import checked
 from contactqp.model.arrays import own_floating_point
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
-from contactqp.model.summary import Printed, RowsOf
+from contactqp.model.summary import Printed, RowsOf, finite
 from contactqp.solving.methods import Method, meant_option, registered_name, takes
 from contactqp.solving.methods.method import ACTIVE_SET
 from contactqp.solving.solve import begin, solve
 from contactqp.study import rows
-from contactqp.study.rows import Row, as_dicts, brief_comparison, finite, to_csv
+from contactqp.study.rows import Row, as_dicts, brief_comparison, to_csv
 from contactqp.study.settings import (
     STIFFNESSES,
     Setting,
@@ -260,7 +261,8 @@ def _setting_columns(problem: ContactProblem, setting: Setting, case: str) -> di
 def _stiffnesses(problem: ContactProblem, setting: Setting) -> float | None:
     if setting.knob not in STIFFNESSES or setting.value is None:
         return None
-    return finite(setting.value / contact_stiffness(problem))
+    stiffnesses = setting.value / contact_stiffness(problem)
+    return stiffnesses if math.isfinite(stiffnesses) else None
 
 
 _VERDICTS_OF_ERRORS = (

@@ -44,12 +44,12 @@ from contactqp.model.arrays import Array, within_time
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
+from contactqp.model.summary import finite
 from contactqp.scene.deck.deck import read_deck
 from contactqp.scene.tables import ENDLESS, print_noted, print_wrapped
 from contactqp.scene.units import Quantity, UnitSystem, number
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
-from contactqp.study.rows import finite
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from typing import Any
 from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import file_size, read_text, write_whole, wrong
 from contactqp.exchange.problem_files import is_problem_file
+from contactqp.model.summary import finite
 from contactqp.oracle.judged_answer import COMPRESSION
 from contactqp.scene.scene import load_scene
 from contactqp.scene.shipped import case_path
 from contactqp.study.checking import check_answer
-from contactqp.study.rows import finite
 from contactqp.study.verdict import CheckOptions, Verdict, is_written_out
 
 SCHEMA, SCHEMA_VERSION = "contactqp-receipt", 1

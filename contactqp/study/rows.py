@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -10,7 +9,7 @@ from itertools import zip_longest
 from typing import Any
 
 from contactqp.model.summary import WIDTH as COLUMNS_OF_TEXT
-from contactqp.model.summary import csv_text, wrapped
+from contactqp.model.summary import aligned, csv_text, wrapped
 from contactqp.study.settings import DEFAULT_TOLERANCE
 from contactqp.study.truth import ABSOLUTE_ENERGY, CONTRADICTED
 
@@ -112,11 +111,6 @@ def columns_of(kind: type) -> Mapping[str, str]:
 COLUMNS: Mapping[str, str] = columns_of(Row)
 
 
-def finite(value: float | None) -> float | None:
-    """Return a number that JSON can hold: None where it is infinite or not a number."""
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
 def as_dicts(rows: Iterable[Any]) -> list[dict[str, Any]]:
     """Return rows as plain data with one key for each column."""
     return [asdict(row) for row in rows]
@@ -186,7 +180,7 @@ def brief_comparison(rows: Sequence[Row], truth: str) -> str:
     sentences = [f"{_with_knob(row)}: {shortened_text(row.message, MESSAGE)}" for row in rows if _says_why(row)]
     missing = ", ".join(row.method for row in rows if row.verdict == MISSING)
     sentences += [f"not installed: {missing} (`contactqp methods` has the pip commands)"] if missing else []
-    table = aligned(cells) if ran else ""
+    table = side_by_side(cells) if ran else ""
     against = _in_lines(f"errors against: {truth}")
     parts = [*_in_lines(_in_short(rows)), table, *wrapped(*sentences)]
     # A truth that may be wrong is said before any verdict that rests on it.
@@ -247,12 +241,10 @@ def _in_lines(text: str) -> list[str]:
     return textwrap.wrap(text, COLUMNS_OF_TEXT, subsequent_indent="  ", break_on_hyphens=False)
 
 
-def aligned(cells: Sequence[Sequence[str]]) -> str:
+def side_by_side(cells: Sequence[Sequence[str]]) -> str:
     """Return columns side by side under the headings of the first line; empty columns are left out."""
     shown = [cell for cell in zip(*cells, strict=True) if any(cell[1:])]
-    widths = [max(map(len, cell)) for cell in shown]
-    padded = [[cell.ljust(width) for cell in column] for column, width in zip(shown, widths, strict=True)]
-    return "\n".join("  ".join(line).rstrip() for line in zip(*padded, strict=True))
+    return "\n".join(aligned(list(zip(*shown, strict=True))))
 
 
 def folded(cells: Sequence[Sequence[str]], first: int) -> str:
@@ -275,7 +267,7 @@ def folded(cells: Sequence[Sequence[str]], first: int) -> str:
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         ]
         lines += zip_longest(*parts, fillvalue="")
-    return aligned(lines)
+    return side_by_side(lines)
 
 
 def shortened_text(text: str, widest: int) -> str:

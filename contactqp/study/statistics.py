@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from contactqp.model.arrays import Array
+from contactqp.model.summary import finite
 from contactqp.solving.methods.method import ACTIVE_SET
 from contactqp.study import rows
 from contactqp.study.rows import Row
@@ -280,7 +281,7 @@ def _overview_times(times: RouteTimes, mean: float) -> dict[str, Any]:
         failed=times.failed,
         unsupported=times.unsupported,
         shifted_geometric_mean_seconds=mean,
-        seconds=[value if math.isfinite(value) else None for value in times.seconds],
+        seconds=finite(times.seconds),
     )
 
 

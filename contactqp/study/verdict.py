@@ -20,13 +20,13 @@ from contactqp.errors import InvalidProblem, shown
 from contactqp.exchange.files import Ledger, read_text, wrong
 from contactqp.exchange.matrix_files import read_matrix
 from contactqp.exchange.tables import is_table, read_tables
-from contactqp.model.arrays import Array, Vector
+from contactqp.model.arrays import Vector
 from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LocalCertificate, Solution
+from contactqp.model.summary import finite
 from contactqp.oracle.judged_answer import COMPRESSION, JudgedAnswer
 from contactqp.study.friction_files import figures
-from contactqp.study.rows import finite
 
 EXPECTED = "places or names, one a line, or a table problem,candidate"
 # Arguments of `cq.certify` as a diagnosis writes them, and the options of the command line that set them.
@@ -205,7 +205,7 @@ class Verdict:
             "bounds": {
                 "energy_error": finite(getattr(certificate, "energy_error", None)),
                 "force_error": finite(certificate.force_error),
-                "force_bound": finite_list(certificate.force_bound),
+                "force_bound": finite(certificate.force_bound),
                 "scope": certificate.scope,
                 "radius": finite(certificate.radius),
                 "reasons": list(certificate.reasons),
@@ -227,8 +227,3 @@ def _judged_data(certificate: JudgedAnswer) -> dict[str, Any]:
         "findings": [{"kind": one.kind, "text": one.text, "cause": one.cause} for one in certificate.findings],
         "recovered": list(certificate.recovered),
     }
-
-
-def finite_list(values: Array | None) -> list[float | None] | None:
-    """Return numbers for JSON, None where they are not finite."""
-    return None if values is None else [finite(float(value)) for value in values]

@@ -16,6 +16,7 @@ from contactqp.exchange.files import Ledger
 from contactqp.model.arrays import TINY, Array, Index, Mask, Vector
 from contactqp.model.names import Units
 from contactqp.model.problem_data import ReadOnly
+from contactqp.model.summary import aligned
 from contactqp.oracle.foreign.crosscheck_forces import PairNodes
 
 # A spring law is recognised if its stiffnesses at nine of ten nodes differ by at most this factor.
@@ -372,5 +373,4 @@ def _table(pair: PairVerdict, reference: str, units: Units) -> Sequence[str]:
         numbers = (pair.force[i], pair.reference_force[i], pair.gap[i])
         force, right, gap = (f"{value:.4g}" for value in numbers)
         rows.append((str(int(pair.labels[i])), force, right, gap))
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    return ["      " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return [f"      {line}" for line in aligned(rows, ">>")]

@@ -26,7 +26,7 @@ from contactqp.model.coulomb import slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import ReadOnly
 from contactqp.model.solution import ANSWER_PARTS, BY_ENERGY, Answer, AnswerOf, Candidate, Certificate, Solution
-from contactqp.model.summary import without_rounding
+from contactqp.model.summary import aligned, finite, without_rounding
 from contactqp.oracle.foreign.recovery import displaced, pressed
 from contactqp.solving.equilibria import equilibria
 from contactqp.solving.solve import begin, of_problem, solve
@@ -263,28 +263,8 @@ class JudgedContact(ReadOnly):
 
     def data(self) -> dict[str, Any]:
         """Return the contact as plain data for JSON, with null for values that are not finite."""
-        return {
-            "contact": self.name,
-            "index": self.index,
-            "figure": self.figure,
-            "size": _plain(self.size),
-            "normal_force": _plain(self.normal_force),
-            "gap": _plain(self.gap),
-            "friction_force": _plain(self.friction_force),
-            "slip": _plain(self.slip),
-            "right_normal_force": _plain(self.right_normal_force),
-            "right_gap": _plain(self.right_gap),
-            "right_friction_force": _plain(self.right_friction_force),
-            "right_slip": _plain(self.right_slip),
-        }
-
-
-def _plain(value: Any) -> Any:
-    if value is None:
-        return None
-    if np.ndim(value):
-        return [_plain(float(one)) for one in value]
-    return float(value) if np.isfinite(value) else None
+        numbers = {name: finite(value) for name, value in vars(self).items() if name not in ("name", "index", "figure")}
+        return {"contact": self.name, "index": self.index, "figure": self.figure} | numbers
 
 
 def judged_contacts(
@@ -362,12 +342,6 @@ def _apart(answer: Answer, right: Solution) -> Vector:
     largest = float(np.max(abs(right.normal_force), initial=0.0)) or float(np.max(abs(answer.normal_force), initial=1))
     relative = apart / largest if largest > 0 else apart
     return np.where(relative > SAME_VALUE, relative, 0.0)
-
-
-def aligned(lines: list[list[str]]) -> list[str]:
-    """Return lines of cells as text in aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
 
 
 def contacts_table(problem: ContactProblem, contacts: tuple[JudgedContact, ...], limit: int = 20) -> str:

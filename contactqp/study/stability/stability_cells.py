@@ -15,11 +15,12 @@ from contactqp.certificate.bounds import REDUNDANT
 from contactqp.certificate.uniqueness import FORCES, SEVERAL
 from contactqp.errors import InvalidProblem
 from contactqp.model.solution import Solution
+from contactqp.model.summary import finite
 from contactqp.solving.methods import Method
 from contactqp.solving.sparse_run import has_sparse_systems
 from contactqp.study import rows as report_rows
 from contactqp.study.comparison import answer
-from contactqp.study.rows import Row, as_dicts, column, columns_of, finite
+from contactqp.study.rows import Row, as_dicts, column, columns_of
 from contactqp.study.running.journal import Cell as RunningCell
 from contactqp.study.running.journal import Crash
 from contactqp.study.settings import DEFAULT_TOLERANCE, Setting, chosen_methods, contact_stiffness

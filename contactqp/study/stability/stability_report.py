@@ -18,7 +18,7 @@ from contactqp.study import rows as report_rows
 from contactqp.study.conclusion import deliver, machine, report_folder, unfinished, versions, workshop, write
 from contactqp.study.page.case_view import bars_of, plain_table
 from contactqp.study.page.render import Section, Tile, missing_packages, render_study
-from contactqp.study.rows import aligned
+from contactqp.study.rows import side_by_side
 from contactqp.study.running.journal import Journal, source_digest
 from contactqp.study.running.runner import (
     Progress,
@@ -248,7 +248,7 @@ def _axis_data(study: StabilityStudy, axis: Axis) -> dict[str, Any]:
 
 def terminal_lines(study: StabilityStudy) -> Iterator[str]:
     """Yield what is printed on the terminal."""
-    yield aligned(study.cells())
+    yield side_by_side(study.cells())
     for axis in study.axes:
         yield f"\n{axis.title} ({axis.quantity})"
         yield from (f"  {words}" for words in grouped(study.ranges(axis)))
