@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from contactqp.distributed.problem import DistributedProblem
 from contactqp.distributed.ranks import Ranks, ask_ranks
+from contactqp.elements.scalars import places_among
 from contactqp.errors import InvalidProblem
 from contactqp.exchange.files import write_whole
 from contactqp.model.arrays import Index
@@ -132,13 +133,11 @@ class Checkpoint:
         """
         ranks = self._ranks
         numbers, values = ranks.exchange(numbers % ranks.size, numbers, values)
-        order = np.argsort(numbers)
-        numbers, values = numbers[order], values[order]
 
         def found(asked: Index, _: Index) -> tuple[NDArray[Any]]:
-            place = np.minimum(np.searchsorted(numbers, asked), max(len(numbers) - 1, 0))
+            place, there = places_among(numbers, asked)
             with ranks.raising_together():
-                if len(asked) and (not len(numbers) or np.any(numbers[place] != asked)):
+                if not there.all():
                     raise InvalidProblem(f"{self._commit(step)}: values are missing in the files of this step")
             return (values[place],)
 

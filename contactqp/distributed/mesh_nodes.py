@@ -18,6 +18,7 @@ from contactqp.distributed.partition_mesh import MeshPiece
 from contactqp.distributed.ranks import Ranks, ask_ranks, block_type, petsc
 from contactqp.elements.pairing import Pairing
 from contactqp.elements.reference_elements import Block, batches
+from contactqp.elements.scalars import places_among
 from contactqp.elements.solid import Body, pattern
 from contactqp.elements.structure import Part, Structure
 from contactqp.elements.surface import Surface
@@ -198,9 +199,8 @@ def gather_surfaces(structure: Structure, nodes: Nodes, sides: Sequence[tuple[st
     firsts = np.cumsum([0, *[body.mesh.total for body in structure.bodies]])
     facets = {side: _gathered(ranks, structure, nodes, *side) for side in dict.fromkeys(sides)}
     numbers = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *[part.ravel() for part in facets.values()]]))
-    own = nodes.numbers[nodes.own]
-    place = np.searchsorted(own, numbers)
-    mine = np.flatnonzero((place < len(own)) & (own[np.minimum(place, len(own) - 1)] == numbers) if len(own) else [])
+    place, here = places_among(nodes.numbers[nodes.own], numbers)
+    mine = np.flatnonzero(here)
     points = np.concatenate([body.mesh.points for body in structure.bodies])[nodes.own[place[mine]]]
     order = np.argsort(ranks.gathered(mine))
     return ContactSurfaces(

@@ -15,6 +15,7 @@ import numpy as np
 
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import KINDS, REFERENCES, Block
+from contactqp.elements.scalars import places_among
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import Array, Index
 
@@ -332,9 +333,7 @@ def _refuse_twice(what: str, labels: Index) -> None:
 
 def _places(what: str, labels: Index, wanted: Index) -> Index:
     """Return the indices of the `wanted` among all labels."""
-    order = np.argsort(labels)
-    place = np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)
-    missing = labels[order[place]] != wanted
-    if missing.any():
-        raise InvalidProblem(f"there is no {what} with the label {np.asarray(wanted)[missing][0]}")
-    return order[place]
+    places, there = places_among(labels, wanted)
+    if not there.all():
+        raise InvalidProblem(f"there is no {what} with the label {np.asarray(wanted)[~there][0]}")
+    return places

@@ -1,4 +1,4 @@
-"""Check numbers that the user gives, and compute lengths that stay exact where they are rational."""
+"""Check numbers that the user gives, find numbers among others, and compute lengths that stay exact where rational."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem
-from contactqp.model.arrays import Array
+from contactqp.model.arrays import Array, Index, Mask
 from contactqp.model.problem_data import read_array
 
 
@@ -182,3 +182,16 @@ def _near_one(vector: Array) -> Array:
     _, power = np.frexp(np.max(np.abs(vector), initial=0.0))
     scaled: Array = np.ldexp(vector, -power)
     return scaled
+
+
+def places_among(labels: Index, wanted: Index) -> tuple[Index, Mask]:
+    """Return the place of each wanted number among distinct labels in any order, and whether it is one of them.
+
+    >>> places_among(np.array([30, 10, 20]), np.array([10, 15]))
+    (array([1, 2]), array([ True, False]))
+    """
+    if not len(labels):
+        return np.zeros(len(wanted), dtype=np.int64), np.zeros(len(wanted), dtype=bool)
+    order = np.argsort(labels, kind="stable")
+    places = order[np.minimum(np.searchsorted(labels, wanted, sorter=order), len(labels) - 1)]
+    return places, labels[places] == wanted

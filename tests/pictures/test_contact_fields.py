@@ -222,12 +222,12 @@ def test_friction_of_a_deck_acts_on_its_slave_nodes(tmp_path):
     deck = cq.read_deck(write(tmp_path, text))
     solution = cq.solve(deck.problem())
     (pairing,) = fields_of_deck(deck, solution).pairings
-    full = deck.by_nodes.tangent
+    full = deck.contacts("node-to-segment").tangent
     expected = -(full.T @ solution.friction_force.ravel())  # on all nodes, those of the master included
     slave = pairing.friction.sum(axis=0)
     assert sp.issparse(full)
     assert abs(expected.reshape(-1, 3).sum(axis=0)).max() < 1e-9 * abs(slave).max()
-    nodes = deck.by_nodes.pairs[0].pairing.nodes
+    nodes = deck.contacts("node-to-segment").pairs[0].pairing.nodes
     np.testing.assert_allclose(pairing.friction, expected.reshape(-1, 3)[nodes], atol=1e-12 * abs(slave).max())
 
 

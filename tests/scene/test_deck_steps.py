@@ -141,7 +141,7 @@ def test_a_pair_that_nothing_reaches_changes_no_slip(tmp_path: pathlib.Path) -> 
     pair = "*SURFACE INTERACTION, NAME=OTHER\n*CONTACT PAIR, INTERACTION=OTHER, TYPE=NODE TO SURFACE\nSIDE, FAR\n"
     stack = RUBBING.replace("*SURFACE INTERACTION, NAME=TOUCH", f"{faces}{pair}*SURFACE INTERACTION, NAME=TOUCH", 1)
     deck = cq.read_deck(write(tmp_path, in_steps(BACK_AND_FORTH, stack=stack)))
-    assert [len(one.labels) for one in deck.by_nodes.pairs] == [0, 4]
+    assert [len(one.labels) for one in deck.contacts("node-to-segment").pairs] == [0, 4]
     friction = solved(tmp_path, BACK_AND_FORTH).friction_force
     assert np.allclose(cq.solve(deck.problem()).friction_force, friction, rtol=1e-9)
 

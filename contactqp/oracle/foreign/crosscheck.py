@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from contactqp.certificate.number_range import ABSURD
+from contactqp.elements.scalars import places_among
 from contactqp.errors import BackendFailed, ContactQPError, InvalidProblem, counted
 from contactqp.exchange.calculix_results import read_displacements
 from contactqp.exchange.deck.reading import read_deck_model
@@ -144,14 +145,11 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
         raise BackendFailed(told) if ran else InvalidProblem(told)
     topology = deck.assembly.topology
     d = topology.dimension
-    order = np.argsort(field.nodes, kind="stable")
-    at = np.searchsorted(field.nodes[order], topology.labels)
-    missing = at >= len(order)
-    missing[~missing] |= field.nodes[order[at[~missing]]] != topology.labels[~missing]
-    if missing.any():
-        label = topology.labels[missing][0]
+    at, there = places_among(field.nodes, topology.labels)
+    if not there.all():
+        label = topology.labels[~there][0]
         raise InvalidProblem(f"{file}: expected displacements of all nodes, got none of node {label}; print U of all")
-    u = field.values[order[at], :d].ravel()
+    u = field.values[at, :d].ravel()
     if not np.isfinite(u).all():
         name = topology.name(int(np.argmin(np.isfinite(u))))
         raise InvalidProblem(f"{file}: expected finite displacements, got another one at {name}")
@@ -200,7 +198,7 @@ class _Judging:
 
     @cached_property
     def _nodes(self) -> list[PairNodes]:
-        return [pair_nodes(self.deck, number) for number in range(len(self.deck.by_nodes.pairs))]
+        return [pair_nodes(self.deck, number) for number in range(len(self.deck.contacts("node-to-segment").pairs))]
 
     @cached_property
     def _types(self) -> set[str]:
@@ -241,7 +239,7 @@ class _Judging:
         """
         if self.reference == "penalty" or self._types <= {"NODE TO SURFACE"}:
             return []
-        contacts = self.deck.by_points.free
+        contacts = self.deck.contacts("points").free
         if contacts.friction is not None and len(contacts.kept) > MOST_POINTS:
             return self._if_any("exact answer by points", self._approximately_by_points)
         return self._by("exact", "points")
@@ -302,7 +300,7 @@ class _Judging:
     @cached_property
     def pairs(self) -> tuple[PairVerdict, ...]:
         """Return the verdicts on the contact pairs."""
-        return tuple(self._pair(number) for number in range(len(self.deck.by_nodes.pairs)))
+        return tuple(self._pair(number) for number in range(len(self.deck.contacts("node-to-segment").pairs)))
 
     def _pair(self, number: int) -> PairVerdict:
         judged = self._nodes[number]
@@ -445,7 +443,7 @@ class _Judging:
     @cached_property
     def _acted(self) -> Index:
         """Return the unknowns on which contacts, ties or supports act."""
-        contacts = self.deck.by_nodes.pairs
+        contacts = self.deck.contacts("node-to-segment").pairs
         parts = [np.flatnonzero(~np.isnan(self.deck.assembly.prescribed)), self.deck.ties.indices]
         for contact in contacts:
             parts += [side.unknowns[side.nodes].ravel() for side in (contact.slave, contact.master)]

@@ -186,7 +186,7 @@ class PairNodes:
 
 def pair_nodes(deck: Deck, number: int) -> PairNodes:
     """Return the nodes at which a contact pair is judged, if possible all slave nodes on which only the pair acts."""
-    contacts = deck.by_nodes
+    contacts = deck.contacts("node-to-segment")
     contact = contacts.pairs[number]
     slave, pairing = contact.slave, contact.pairing
     nodes = slave.nodes

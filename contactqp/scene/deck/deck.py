@@ -75,24 +75,20 @@ class Deck:
         return Surfaces(topology_of(self.model, expanded=self.expanded))
 
     @cached_property
-    def by_nodes(self) -> DeckContacts:
-        """Return the contact pairs node to segment, which forbid overlap at slave nodes."""
-        return self._contacts("node-to-segment")
+    def _contacts(self) -> dict[Discretisation, DeckContacts]:
+        return {}
 
-    @cached_property
-    def by_mortar(self) -> DeckContacts:
-        """Return the contact pairs as a mortar where their faces are linear, which forbids overlap on average."""
-        return self._contacts("mortar")
+    def contacts(self, discretisation: Discretisation) -> DeckContacts:
+        """Return the contact pairs in one discretisation, found once.
 
-    @cached_property
-    def by_points(self) -> DeckContacts:
-        """Return the contact pairs at the Gauss points of the slaves' faces, which forbid overlap there."""
-        return self._contacts("points")
-
-    def _contacts(self, discretisation: Discretisation) -> DeckContacts:
-        with naming(self.model.file):
-            contacts = contacts_of(self._surfaces, self.assembly.points, discretisation)
-            return DeckContacts(contacts, self.assembly.prescribed)
+        "node-to-segment" forbids overlap at slave nodes, "mortar" on average where faces are linear, "points" at the
+        Gauss points of the slaves' faces.
+        """
+        if discretisation not in self._contacts:
+            with naming(self.model.file):
+                pairs = contacts_of(self._surfaces, self.assembly.points, discretisation)
+                self._contacts[discretisation] = DeckContacts(pairs, self.assembly.prescribed)
+        return self._contacts[discretisation]
 
     @cached_property
     def free(self) -> Index:
@@ -158,12 +154,6 @@ class Deck:
             exact = self._exact(contacts.free, None if slipped is None else slipped[contacts.tangent_rows])
             problem = exact if enforcement == "exact" else self._on_springs(exact, contacts)
             return problem.with_load_sum(problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free))))
-
-    def contacts(self, discretisation: Discretisation) -> DeckContacts:
-        """Return the contact pairs of the deck in one discretisation."""
-        found = {"node-to-segment": "by_nodes", "mortar": "by_mortar", "points": "by_points"}
-        contacts: DeckContacts = getattr(self, found[discretisation])
-        return contacts
 
     def _slipped(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
         """Return E_T u of all pairs at the start of the last step, less the elongation of tangential springs [length].

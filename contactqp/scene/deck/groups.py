@@ -12,6 +12,7 @@ from contactqp.elements.abaqus import HEX_FACES
 from contactqp.elements.material import Material, Model
 from contactqp.elements.mesh import Mesh
 from contactqp.elements.reference_elements import REFERENCES, Block, Geometry, Reference, gauss, tetrahedron
+from contactqp.elements.scalars import places_among
 from contactqp.elements.solid import Body
 from contactqp.errors import InvalidProblem, counted
 from contactqp.exchange.deck.model import AXES, DeckMaterial, DeckModel, Elements, Faces, Section
@@ -191,15 +192,11 @@ class Topology:
         InvalidProblem
             A label that no node has; `place` says where it stands.
         """
-        at = np.searchsorted(self.model.labels, labels)
-        wrong = at >= len(self.model.labels)
-        wrong[~wrong] |= self.model.labels[at[~wrong]] != labels[~wrong]
-        if wrong.any():
-            raise InvalidProblem(f"{place}: there is no node {labels[wrong][0]}")
-        among = np.searchsorted(self.active, at)
-        has = among < len(self.active)
-        has[has] &= self.active[among[has]] == at[has]
-        return among[has], labels[~has]
+        at, there = places_among(self.model.labels, labels)
+        if not there.all():
+            raise InvalidProblem(f"{place}: there is no node {labels[~there][0]}")
+        among, active = places_among(self.active, at)
+        return among[active], labels[~active]
 
     def check_elements(self, labels: Index, place: str) -> None:
         """Refuse labels of elements that are not there."""
@@ -220,10 +217,7 @@ class Topology:
         found = []
         seen = np.zeros(len(faces.elements), dtype=bool)
         for group in self.groups:
-            order = np.argsort(group.labels, kind="stable")
-            at = np.searchsorted(group.labels[order], faces.elements)
-            inside = at < len(order)
-            inside[inside] &= group.labels[order[at[inside]]] == faces.elements[inside]
+            at, inside = places_among(group.labels, faces.elements)
             seen |= inside
             for number in np.unique(faces.face[inside]).tolist():
                 local = HEX_FACES[number - 1] if group.kind.corners == 8 else number - 1
@@ -231,7 +225,7 @@ class Topology:
                     element = faces.elements[inside & (faces.face == number)][0]
                     raise InvalidProblem(f"{place}: element {element} ({group.type}) has no face {number}")
                 entries = np.flatnonzero(inside & (faces.face == number))
-                found.append((group, local, order[at[entries]], entries))
+                found.append((group, local, at[entries], entries))
         if not seen.all():
             raise InvalidProblem(f"{place}: element {faces.elements[~seen][0]} has no faces; expected solid elements")
         return found
@@ -245,11 +239,9 @@ def topology_of(model: DeckModel, *, expanded: bool = False) -> Topology:
     """
     used = [group.nodes.ravel() for group in model.elements] + [one.nodes for one in model.equations]
     wanted = np.unique(np.concatenate(used))
-    at = np.searchsorted(model.labels, wanted)
-    missing = at >= len(model.labels)
-    missing[~missing] |= model.labels[at[~missing]] != wanted[~missing]
-    if missing.any():
-        raise InvalidProblem(_of_missing_node(model, int(wanted[missing][0])))
+    at, there = places_among(model.labels, wanted)
+    if not there.all():
+        raise InvalidProblem(_of_missing_node(model, int(wanted[~there][0])))
     renumber = {kind.type: kind for kind in model.elements}
     sections = _Sections(model)
     groups, links = [], []
@@ -298,11 +290,9 @@ class _Sections:
             self.spring[self._at(spring.elements, spring.place)] = spring.stiffness
 
     def _at(self, elements: Index, place: str) -> Index:
-        at = np.searchsorted(self.labels, elements)
-        wrong = at >= len(self.labels)
-        wrong[~wrong] |= self.labels[at[~wrong]] != elements[~wrong]
-        if wrong.any():
-            raise InvalidProblem(f"{place}: there is no element {elements[wrong][0]}")
+        at, there = places_among(self.labels, elements)
+        if not there.all():
+            raise InvalidProblem(f"{place}: there is no element {elements[~there][0]}")
         return at
 
     def _give(self, elements: Index, number: int, place: str) -> None:
