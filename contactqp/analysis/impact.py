@@ -70,7 +70,7 @@ def impact(
         K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
     mass : (n, n) matrix or (n,) diagonal [force time^2 / length]
         M, symmetric positive semidefinite; singular only where the scheme allows it. That of bodies is `system.mass()`.
-    displacement, velocity : (n,) arrays
+    displacement, velocity : (n,) arrays [length], [length / time]
         u and v at the start, within the constraints. Of a single unknown these and the mass may be numbers.
     duration, time_step : float
         The motion has ceil(duration / time_step) steps, at least one: the step is no longer than the duration.
@@ -84,15 +84,15 @@ def impact(
         energy blows up at impacts. "backward-euler": loses energy everywhere. "penalty": central differences with
         contact springs `penalty`.
     load : function of time, optional
-        f (n,) at any instant.
+        The function returns the load f (n,) [force] at an instant [time].
     theta : float
-        Of Moreau's and Jean's scheme, from 1/2 (keeps energy) to 1.
+        The weight of the end of a step in Moreau's and Jean's scheme, from 1/2, which keeps energy, to 1.
     restitution : float
-        e from 0 to 1.
+        Newton's coefficient e, from 0 to 1: normal velocity after an impact over that before.
     start_time : float
         The time of the start. `MotionHistory.resume` goes on from where a motion ended, or failed.
     method, **options
-        Of the small problem of each step, as in `solve`: any exact method.
+        The method for the small problem of each step, any exact one, and its options, as in `solve`.
 
     Returns
     -------

@@ -67,16 +67,16 @@ def large_deformation(
     contact : ContactGeometry, optional
         ObstacleContact, ContactGroup, or anything that gives gaps and rows at u.
     steps : int
-        Equal steps a leg. With control="load" one that does not converge is halved, and so are its halves, four times
-        at most; all of them stand in the history.
+        The number of equal steps in a leg. With control="load" a step that does not converge is halved, and so are its
+        halves, four times at most; all of them stand in the history.
     control : "load", "displacement" or "arc-length"
         With the two others the load factor is an unknown: the load is that factor times `loads[0]`, the only corner,
         and the path is followed through limit points, unstable equilibria included. Contacts close and open at points
         of their own. "displacement" moves the unknown `controlled` to `target` in equal steps; "arc-length" takes
         `steps` steps of `arc_length`.
     method : str
-        Of `solve`, for the steps. Where a tangent is indefinite only "active-set" goes on: the others are convex and
-        raise Unsupported.
+        The method of `solve` for the steps. Where a tangent is indefinite only "active-set" goes on: the others are
+        convex and raise Unsupported.
     tie : (k, n) array or sparse matrix, optional
         A, rows of constraints A u = b.
     tie_values : sequence of (k,) arrays, optional
@@ -92,15 +92,16 @@ def large_deformation(
     controlled, target : int and float, optional
         The place of an unknown in u, and where it ends [length].
     arc_length : float, optional
-        |u - u_0|^2 + s^2 (t - t_0)^2 of a step is its square [length], where s is the length of the displacement that
-        a unit of load makes at the start. By default sqrt(2) s / steps: `steps` of them come to t = 1 if nothing
-        softens.
+        The length of a step [length]: its square is |u - u_0|^2 + s^2 (t - t_0)^2, where s is the length of the
+        displacement that a unit of load makes at the start. By default sqrt(2) s / steps: `steps` of them come to t = 1
+        if nothing softens.
     tolerance : float
-        Of the forces out of balance over the largest force, and of gaps over the largest displacement.
+        The largest admissible ratio of the forces out of balance to the largest force, and of gaps to the largest
+        displacement.
     max_iter : int
-        Iterations of Newton's method a step.
+        The most iterations of Newton's method in a step.
     **options
-        Of `solve`: `penalty`, `algorithm`, ...
+        Further options of `solve`: `penalty`, `algorithm`, ...
 
     Returns
     -------

@@ -433,7 +433,7 @@ class Solutions(ReadOnly, Printed):
         return self._solved(i).displacement
 
     def envelope(self) -> Envelope:
-        """Return the largest force of each contact over all cases, and its case."""
+        """Return the largest normal force of each contact over all cases (m,) [force], and that case."""
         m = self.problem.contacts
         names = tuple(self.problem.contact_name(i) for i in range(m))
         answered = np.flatnonzero(np.isfinite(self.normal_force).all(axis=1))

@@ -102,7 +102,7 @@ def follow_path(
         for at most 256 combinations of undecided contacts; otherwise one is followed. Steps follow one, with a note in
         `History.notes`.
     NotConverged, NotCertified
-        As `solve`.
+        Raised by `solve` at an instant of the path; `history` holds the instants before it.
 
     Examples
     --------

@@ -86,11 +86,11 @@ def solve_many(
     friction : number, (N, 1) or (N, m) array, optional
         One coefficient for all cases, one for each, or one for each contact of each.
     method : str
-        As in `solve`.
+        The method of `solve` for every case.
     progress : callable, optional
-        Is called with a few words on what is done now.
+        A function that is called with a few words on what is being done.
     **options
-        As in `solve`, but for `warm_start`.
+        Further options of `solve`, except `warm_start`.
 
     Returns
     -------

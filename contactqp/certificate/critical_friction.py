@@ -122,7 +122,7 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
     Parameters
     ----------
     problem : ContactProblem
-        With friction, in the plane or in space.
+        A problem with friction, in the plane or in space.
 
     Raises
     ------

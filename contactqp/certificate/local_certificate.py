@@ -282,7 +282,7 @@ def certify_local(
     ----------
     problem : LocalProblem
     force : (m, d) or flat array
-        On the body, in the order (N, T1, T2).
+        The forces on the body, contact by contact in the order (N, T1, T2).
     joint_force : (p,) array, needed where the problem has joints
     tolerance : float
         Largest figure that passes.

@@ -281,7 +281,7 @@ class ConstrainedEnergy:
         return self.read(solve(self.problem, method, **options))
 
     def read(self, solution: Solution) -> ConstrainedMinimum:
-        """Return the state of the parts in a solution of `problem`, found by any method."""
+        """Return the minimum that a solution of `problem` by any method describes, with the state of every part."""
         if solution.problem.dof_names != self.problem.dof_names:
             raise InvalidProblem("read: expected a solution of this energy's own problem")
         return ConstrainedMinimum(self, solution)
@@ -312,7 +312,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
     @property
     def certificate(self) -> Certificate:
-        """Return the certificate of the solution behind it."""
+        """Return the certificate of the contact problem's solution that this minimum was read from."""
         return self.solution.certificate
 
     @property
@@ -335,7 +335,7 @@ class ConstrainedMinimum(ReadOnly, Printed):
 
     @cached_property
     def parts(self) -> Mapping[str, PartState]:
-        """Return the state of each part by its name."""
+        """Return the elongation or value, force and status of each part at the minimum, by the name of the part."""
         return {part.name: part.state(self._found) for part in self.of.parts}
 
     @cached_property

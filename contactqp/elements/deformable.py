@@ -364,7 +364,7 @@ class ContactGroup:
         return sum(part.contacts for part in self.parts)
 
     def state(self, displacement: Vector) -> LinearisedContacts:
-        """Return gaps and rows of all geometries."""
+        """Return the gaps and rows of the contacts of all geometries, one geometry after the other."""
         states = [part.state(displacement) for part in self.parts]
         widths = {state.normal.shape[1] for state in states}
         if len(widths) > 1:
@@ -378,7 +378,7 @@ class ContactGroup:
         )
 
     def curvature(self, displacement: Vector, normal_force: Vector) -> Any:
-        """Return the sum over all geometries, None where one of them has none."""
+        """Return the sum of the curvatures of all geometries, (n, n) [force / length], None if one of them has none."""
         total = None
         for part, force in zip(self.parts, self._split("normal_force", normal_force), strict=True):
             found = part.curvature(displacement, force)

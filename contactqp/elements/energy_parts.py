@@ -379,7 +379,7 @@ class Obstacle(ReadOnly):
     name : str
     unknowns : sequence of str
     lower, upper : float or array, optional
-        At least one; infinite entries bound nothing.
+        At least one of them is given; infinite entries bound nothing.
 
     Raises
     ------

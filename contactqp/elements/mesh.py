@@ -76,7 +76,7 @@ class Mesh(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """Return d, 2 or 3."""
+        """Return the dimension d of space, 2 or 3."""
         return int(self.points.shape[1])
 
     @property
@@ -214,7 +214,7 @@ class Mesh(ReadOnly):
         return tuple(block for block in facets if len(block))
 
     def find_facets(self, facets: Index, kind: str) -> Index:
-        """Return, for facets given by their nodes (corners first, in any turn), their rows in `boundary`, or -1."""
+        """Return the row in `boundary` of each facet, -1 for others; facets are given by their nodes, corners first."""
         place = np.full(len(facets), -1)
         keys, rows = [], []
         first = 0

@@ -256,7 +256,7 @@ def read_mesh(path: str | Path, *, part: str | None = None, drop_unconnected: bo
 
 
 def mesh_from_meshlane(mesh: Any, *, part: str | None = None, drop_unconnected: bool = False) -> Mesh:
-    """Make a mesh from a ``meshlane.Mesh``, or one of meshio; as `read_mesh`."""
+    """Make a mesh from a ``meshlane.Mesh`` or a mesh of meshio; `part` and `drop_unconnected` are as in `read_mesh`."""
     return mesh_from_cells(_cells_of_meshlane(mesh), part=part, drop_unconnected=drop_unconnected)
 
 

@@ -200,7 +200,7 @@ class NonlinearSolid:
 
     @property
     def dimension(self) -> int:
-        """Return n = N d."""
+        """Return the number of unknowns, n = N d for N nodes."""
         return self.body.size
 
     @cached_property

@@ -222,7 +222,7 @@ class NonlinearTruss(ReadOnly):
 
     @property
     def dimension(self) -> int:
-        """Return n = N d."""
+        """Return the number of unknowns, n = N d for N nodes."""
         return int(self.nodes.size)
 
     @cached_property
@@ -236,7 +236,7 @@ class NonlinearTruss(ReadOnly):
         return LAWS[self.law] if isinstance(self.law, str) else self.law
 
     def positions(self, displacement: ArrayLike) -> Array:
-        """Return X + u, (N, d) [length]."""
+        """Return the current positions X + u of the nodes, (N, d) [length]."""
         return np.asarray(self.nodes + self._read(displacement))
 
     def strain(self, displacement: ArrayLike) -> Array:
@@ -384,7 +384,7 @@ class UpdatedTruss:
 
     @property
     def dimension(self) -> int:
-        """Return n = N d."""
+        """Return the number of unknowns, n = N d for N nodes."""
         return self.truss.dimension
 
     def length(self, displacement: ArrayLike) -> Array:
@@ -408,7 +408,7 @@ class UpdatedTruss:
         return np.asarray(truss.area / self.area(displacement) * L / truss.length * stress)
 
     def current_modulus(self, displacement: ArrayLike) -> Array:
-        """Return E* of every bar, (B,) [force / length^2]."""
+        """Return E* = E w'' (A0 / A_n) (L / L0)^3, the modulus of every bar pushed forward, (B,) [force / length^2]."""
         L, truss = self._length(displacement), self.truss
         modulus = truss.modulus * truss.bar_law.modulus(self._green(displacement))
         return np.asarray(modulus * truss.area / self.area(displacement) * (L / truss.length) ** 3)

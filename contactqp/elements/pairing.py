@@ -308,7 +308,7 @@ def pair_scalar(
         Heights [the unit of u], or a function from (p, d) points to them. An infinite height on the far side of the
         membrane (-inf above, +inf below) means that there is no obstacle: the node is left out and listed as unpaired.
     side : "above" or "below"
-        Where the membrane is.
+        The side of the obstacle that the membrane is on.
     unknowns : (p,) array of int, optional
         The place of each node in u; by default 0 to p-1.
     dimension : int, optional

@@ -44,7 +44,7 @@ class _Ball(ReadOnly, ABC):
     @property
     @abstractmethod
     def dimension(self) -> int:
-        """Return 2 or 3."""
+        """Return the dimension of space, 2 or 3."""
 
     @property
     def _name(self) -> str:
@@ -79,6 +79,7 @@ class Circle(_Ball):
 
     @property
     def dimension(self) -> int:
+        """Return the dimension of space, 2."""
         return 2
 
 
@@ -98,6 +99,7 @@ class Sphere(_Ball):
 
     @property
     def dimension(self) -> int:
+        """Return the dimension of space, 3."""
         return 3
 
 

@@ -175,8 +175,9 @@ class Body(ReadOnly):
         return block.kind.fine_rule if self.model == "axisymmetric" else block.kind.rule
 
     def integration(self, block: Block, rule: Quadrature) -> tuple[Geometry, Array]:
-        """Return the block's elements at a rule's points, and weights (E, q): an integral over the body sums them
-        up.
+        """Return the elements of a block at the points of a rule, and the weights (E, q) of these points [volume].
+
+        An integral over the body is the sum of weights times the values at the points.
         """
         geometry = at_rule(block, self.mesh.points, rule)
         volume = geometry.determinant * rule.weights
@@ -368,7 +369,7 @@ class Membrane:
     Parameters
     ----------
     mesh : Mesh
-        In 2D.
+        A mesh in two dimensions, of the plane in which the membrane is stretched.
     tension : float
         T from 1e-120 to 1e120, the force per length across any cut [force / length].
     name : str

@@ -69,7 +69,7 @@ class Structure(ReadOnly):
     Parameters
     ----------
     bodies : sequence of Body or of Membrane
-        With distinct names, all in the same number of dimensions.
+        The bodies have distinct names and the same number of dimensions.
 
     Raises
     ------
@@ -265,7 +265,7 @@ class System(ReadOnly):
 
     @cached_property
     def f(self) -> Vector:
-        """Return their loads, f_free - K_free,prescribed u_prescribed [force]."""
+        """Return the load f (n,) on the free unknowns, less what prescribed displacements exert on them [force]."""
         return read_only(np.asarray((self.load - self.structure.stiffness @ self.given)[self.free]))
 
     def mass(self, lumped: bool = False) -> Any:
@@ -276,7 +276,7 @@ class System(ReadOnly):
         return self.structure.mass(lumped)[self.free][:, self.free]
 
     def expand(self, displacement: ArrayLike) -> Vector:
-        """Return the u of all unknowns from that of the free ones."""
+        """Return all displacements, prescribed ones filled in, from those of the free unknowns (n,) [length]."""
         u = self.given.copy()
         u[self.free] = real_vector("displacement", displacement, len(self.free))
         return u

@@ -192,12 +192,12 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def contacts(self) -> int:
-        """Number of contacts m."""
+        """Return the number of contacts m."""
         return len(self.friction)
 
     @cached_property
     def joints(self) -> int:
-        """Number of joints p."""
+        """Return the number of joints p."""
         return len(self.bilateral_offset)
 
     @cached_property
@@ -271,7 +271,7 @@ class LocalProblem(ReadOnly):
 
     @cached_property
     def typical_velocity(self) -> float:
-        """Return the `drive` or, where it is zero, the scaled offset of the nearest open contact, or 1."""
+        """Return the size that velocities are measured by: the `drive`, else the least scaled offset, else 1."""
         sizes = np.max(abs(self._scaled_offset), axis=1, initial=0.0)
         waiting = sizes[sizes > 0]
         return self.drive or (float(np.min(waiting)) if len(waiting) else 1.0)
@@ -478,7 +478,7 @@ class GlobalProblem(ReadOnly):
 
     @property
     def contacts(self) -> int:
-        """Number of contacts m."""
+        """Return the number of contacts m."""
         return len(self.friction)
 
     def __repr__(self) -> str:

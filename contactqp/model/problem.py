@@ -294,7 +294,7 @@ class ContactProblem:
 
     @cached_property
     def dimension(self) -> int:
-        """Number of unknowns n."""
+        """Return the number of unknowns n."""
         return int(self.stiffness.shape[0])
 
     @cached_property
@@ -308,7 +308,7 @@ class ContactProblem:
 
     @cached_property
     def own_scale(self) -> Vector:
-        """Return the scale D (n,): 1/sqrt(K_jj), and 1 where K_jj is zero, computed once for a stiffness."""
+        """Return the scale D (n,) of the unknowns, 1/sqrt(K_jj) [length / sqrt(energy)], and 1 where K_jj is zero."""
         of_stiffness = self._computed.of_stiffness
         if of_stiffness.own_scale is None:
             of_stiffness.own_scale = inverse_root(self.diagonal)
@@ -343,12 +343,12 @@ class ContactProblem:
 
     @cached_property
     def contacts(self) -> int:
-        """Number of contacts m."""
+        """Return the number of contacts m."""
         return int(self.normal.shape[0])
 
     @cached_property
     def ties(self) -> int:
-        """Number of ties k."""
+        """Return the number of ties k."""
         return int(self.tie.shape[0])
 
     @cached_property

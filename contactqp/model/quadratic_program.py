@@ -313,12 +313,12 @@ def answer_of_program(
     problem : ContactProblem, as `from_qp` makes it
     x : (n,) array
     y : (k,) array, optional
-        Of the ties; those of fixed bounds at the end may be left out where `z_box` holds them.
+        Multipliers of the ties; those of fixed bounds at the end may be left out where `z_box` holds them.
     z : (m,) array, optional
-        Of the contacts that are no bounds, in their order.
+        Multipliers of the contacts that are no bounds, in their order.
     z_box : (n,) array, optional
-        Of the bounds: positive of an upper, negative of a lower one. What stands where there is no such bound has no
-        place in the answer, whose balance then misses it.
+        Multipliers of the bounds: positive for an upper bound, negative for a lower one. An entry where there is no
+        such bound has no place in the answer, and the balance of forces then misses it.
     """
     bound = _bounds_of(problem)
     rows = np.setdiff1d(np.arange(problem.contacts), np.array(sorted(bound), dtype=int))

@@ -344,7 +344,7 @@ def assert_multipliers(
     Raises
     ------
     AssertionError
-        With a table of the worst contacts.
+        The forces are wrong; the message holds a table of the worst contacts.
     InvalidProblem
         The arguments are no forces of this problem.
     ContactQPError

@@ -161,14 +161,15 @@ def certify(
     ----------
     problem : ContactProblem
     displacement : (n,) array [length] or Solution, optional
-        Longer, if `dof_map` says where each unknown stands. A solution brings its own forces.
+        The displacements; with `dof_map`, which says where each unknown stands, the array may be longer. A solution
+        brings its own forces.
     normal_force : (m,) array [force], optional
-        With the sign that `compression` says.
+        The normal forces, in the sign that `compression` states.
     friction_force : (m, d-1) or flat array [force], optional
         l_T, what the body does to the obstacle, along its own slip, whatever `compression` says.
     tie_force : (k,) array [force], optional
     tolerance : float
-        Largest figure that passes.
+        The largest relative residual that passes.
     error_tolerance : float
         Largest bound on the relative error that passes.
     factorization : Condensation, optional

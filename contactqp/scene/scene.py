@@ -320,7 +320,7 @@ def run_model(
     method, engine, checkpoint
         As for `run`.
     **options
-        Of `contactqp.solve`.
+        Further options of `contactqp.solve`.
     """
     if engine != SERIAL:
         found: History = engine_named(engine).function("run")(model, method, checkpoint, **options)

@@ -127,20 +127,20 @@ def associated_difference(
     Parameters
     ----------
     problem : ContactProblem
-        With friction.
+        A problem with friction.
     coulomb : Solution, optional
-        Coulomb's answer, where it is known; else `solve(problem, method)`.
+        Coulomb's answer, if it is known already; by default `solve(problem, method)`.
     method : str
         The exact method of both convex problems.
     **options
-        Of `solve`.
+        Further options of `solve`.
 
     Raises
     ------
     InvalidProblem
         There is no friction, or `coulomb` is of another problem.
     NoEquilibrium, NotConverged, NotCertified, BackendFailed, Unsupported
-        As `solve`.
+        Raised by `solve`.
 
     Examples
     --------
@@ -204,7 +204,7 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     Unsupported
         Bodies float, or a local problem has joints without compliance, which the theorem excludes.
     BackendMissing, BackendFailed
-        Of Clarabel.
+        Clarabel is not installed, or fails.
 
     Examples
     --------
