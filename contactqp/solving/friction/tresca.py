@@ -31,13 +31,18 @@ from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
+from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction.local_form import NEARER, RELAXATION, FoundOnBodies, aitken
+from contactqp.solving.friction.newton import refined, search
 from contactqp.solving.methods import Method, Settings, algorithm_name
+from contactqp.solving.methods.method import ACTIVE_SET
 
 # The most steps, enough for contraction factors up to 0.9.
 MAX_STEPS = 100
 # Bounds below this part of the largest count as zero.
 NO_BOUND = 1e-14
+# From so many contacts on, Newton's method starts from the answer without friction, for so many combinations.
+MANY, NEWTON_STEPS = 100, 20
 # Bounds that change by less than this part of the largest have converged; the combination they suggest is then final.
 BOUNDS_SETTLED = 1e-13
 
@@ -60,7 +65,8 @@ def tresca_on_bodies(
     `settings.max_iter` counts Tresca problems; `settings.time_limit` is for all of them. The first bound is that of
     `settings.warm_start`, else that of the answer without friction, else, where friction holds the bodies, of the
     answer with all contacts stuck. With `at_once`, and where only one answer exists, the combination that the answer
-    without friction suggests is tried before: it needs no Tresca problem.
+    without friction suggests is tried before: it needs no Tresca problem. With many contacts, the only answer or not,
+    Newton's method starts from there, as a Tresca problem of a thousand contacts takes a hundred of its systems.
 
     Parameters
     ----------
@@ -77,11 +83,8 @@ def tresca_on_bodies(
     """
     run, name = _Run(problem, condensation, method, settings), algorithm_name("tresca", method.name)
     bound, slippery = run.first_bound()
-    if at_once and slippery is not None and _has_one_answer(problem, condensation):
-        status = run.suggested(slippery, bound)
-        answer = run.answer_in(status, slippery)
-        if holds(problem, answer):
-            return FoundOnBodies(answer, name)
+    if at_once and slippery is not None and (found_at_once := run.at_once(slippery, bound)) is not None:
+        return replace(found_at_once, name=found_at_once.name or name)
     changes: list[float] = []
     relaxation = RELAXATION[1]
     before: Vector | None = None
@@ -117,11 +120,6 @@ def tresca_on_bodies(
         relaxation = aitken(relaxation, before, missing)
         bound, before = np.maximum(bound + relaxation * missing, 0.0), missing
     raise NotConverged(f"tresca: {_pace(changes)}", tuple(changes))
-
-
-def _has_one_answer(problem: ContactProblem, condensation: Condensation) -> bool:
-    """Return whether the answer is proven to be unique, so that any combination that holds is the answer."""
-    return too_many(problem, condensation) is None and critical(problem, condensation).unique
 
 
 def _pace(changes: list[float]) -> str:
@@ -175,6 +173,27 @@ class _Run:
     def bound_of(self, step: _Step) -> Vector:
         """Return the friction bounds mu l_N (m,) of a step, scaled."""
         return np.asarray(self._rows.coefficient * np.maximum(step.normal, 0.0))
+
+    def at_once(self, slippery: _Step, bound: Vector) -> FoundOnBodies | None:
+        """Return the answer near that without friction and its name, empty for its combination itself; None without."""
+        problem, condensation, status = self._problem, self._condensation, self.suggested(slippery, bound)
+        if too_many(problem, condensation) is None:
+            if not critical(problem, condensation).unique:  # else any combination that holds is the answer
+                return None
+            answer = self.answer_in(status, slippery)
+            if holds(problem, answer):
+                return FoundOnBodies(answer, "")
+        if problem.contacts < MANY or self._method.kind != ACTIVE_SET:
+            return None
+        system, left = ForceSystem(problem, condensation), self._limited().time_limit
+        lengths = system.lengths(problem, condensation.reduce_load(problem.load)[0])
+        until = None if left is None else time.perf_counter() + left
+        try:
+            found, steps = search(system, lengths, status, max_iter=NEWTON_STEPS, until=until)
+        except NotConverged:
+            return None
+        answer = refined(problem, condensation, system, lengths, found)
+        return FoundOnBodies(answer, "newton", iterations=steps) if holds(problem, answer) else None
 
     def with_bound(self, bound: Vector) -> _Step:
         """Return the answer to the Tresca problem of a friction bound (m,)."""
