@@ -15,7 +15,8 @@ from contactqp.linalg import friction_states
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.model.local_problem import LocalProblem
-from contactqp.solving.friction import alart_curnier
+from contactqp.solving.friction import alart_curnier, contact_form
+from contactqp.solving.friction.local_form import LocalForm
 
 
 @pytest.fixture
@@ -133,3 +134,11 @@ def test_the_certificate_of_a_solve_takes_the_answer_before_it_was_rounded(block
     assert other.distance > 1e-3
     anew = certificate_of(found.problem, replace(found.answer, normal_force=found.normal_force.copy()))
     assert anew.distance == pytest.approx(found.certificate.distance, rel=1e-6, abs=1e-18)
+
+
+def test_the_local_form_of_a_step_is_made_once(block, monkeypatch):
+    """Held bodies have no joints whose load forces would balance, and one scale of forces."""
+    forms = []
+    monkeypatch.setattr(contact_form, "LocalForm", lambda *given: forms.append(LocalForm(*given)) or forms[-1])
+    assert cq.solve(block).certificate.passed
+    assert len(forms) == 1

@@ -293,11 +293,12 @@ def solve_on_contacts(
         Of the convex method.
     """
     contacts = ContactForm(problem, condensation, condensed_frictional_rows(problem, condensation))
-    balanced = balancing_forces(LocalForm(contacts.local))
+    plain = LocalForm(contacts.local)
+    balanced = balancing_forces(plain)
     deadline = Deadline(settings.time_limit)
     failed: NotConverged | None = None
     for size in _force_sizes(balanced):
-        form = LocalForm(contacts.local, size)
+        form = plain if size == 1.0 else LocalForm(contacts.local, size)
         start = None if balanced is None else balanced / size
         left = replace(settings, time_limit=deadline.remaining)
         try:
