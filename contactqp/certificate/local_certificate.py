@@ -23,8 +23,9 @@ contact, in the order (N, T) or (N, T1, T2); a ContactProblem has r = (l_N, -l_T
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from numpy.typing import ArrayLike
 from contactqp.certificate.coulomb_law import distance_from_law, natural_map
 from contactqp.certificate.critical_friction import LARGEST_RATIO, MOST_CONTACTS, CriticalFriction, of_operator
 from contactqp.certificate.frictional_bounds import local_bounds
-from contactqp.certificate.uniqueness import FORCES, POSSIBLE, UNKNOWN, Uniqueness, are_dependent
+from contactqp.certificate.uniqueness import FORCES, POSSIBLE, UNKNOWN, are_dependent
 from contactqp.errors import InvalidProblem, Unsupported, counted, shown
 from contactqp.linalg.delassus import velocity_of
 from contactqp.linalg.measures import directions, lengths
@@ -53,10 +54,15 @@ ASYMMETRIC_BY_ROUNDING = 1e-9
 WORTH_SPARSE_PRODUCTS = 200
 
 
-def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Uniqueness:
-    """Return findings on uniqueness of the forces; `along` (m, d) are the force directions of slipping contacts."""
+@own_floating_point
+def _local_uniqueness(
+    problem: LocalProblem, closed: Mask, stuck: Mask, along: Array
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return findings on uniqueness of the forces and notes on them; `along` (m, d) are the force directions of
+    slipping contacts.
+    """
     if not problem.contacts or not np.any(problem.friction > 0):
-        return Uniqueness()
+        return (), ()
     notes = []
     if problem.scaled_asymmetry > ASYMMETRIC_BY_ROUNDING:
         notes.append(
@@ -65,7 +71,7 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
         )
     if problem.contacts > MOST_CONTACTS:
         reason = f"{counted('contact', problem.contacts)}, at most {MOST_CONTACTS} are examined"
-        return Uniqueness((UNKNOWN,), (*notes, f"uniqueness was not examined: {reason}"))
+        return (UNKNOWN,), (*notes, f"uniqueness was not examined: {reason}")
     findings = []
     if _dependent(problem, closed, stuck, along):
         findings.append(FORCES)
@@ -74,7 +80,7 @@ def _local_uniqueness(problem: LocalProblem, closed: Mask, stuck: Mask, along: A
     if not critical.unique:
         findings.append(POSSIBLE)
         notes.append(f"friction: several answers {_reason(problem, critical)}")
-    return Uniqueness(tuple(findings), tuple(notes))
+    return tuple(findings), tuple(notes)
 
 
 def _critical_friction(problem: LocalProblem) -> CriticalFriction:
@@ -300,8 +306,9 @@ def certify_local(
     (True, 'global', True)
     """
     measured = measured_forces(problem, force, joint_force, tolerance)
-    certified = with_uniqueness(problem, measured, tolerance)
-    if measured is None or not certified.passed:
+    if measured is None:
+        return not_finite(problem, tolerance)
+    if not (certified := measured.verdict).passed:
         return certified
     found = local_bounds(problem, measured.force, _status(problem, *measured.state))
     if isinstance(found, str):
@@ -309,19 +316,6 @@ def certify_local(
     return replace(
         certified, force_error=found.force_error, force_bound=found.force_bound, scope=found.scope, radius=found.radius
     )
-
-
-def with_uniqueness(problem: LocalProblem, measured: MeasuredForces | None, tolerance: float) -> LocalCertificate:
-    """Return the certificate of `certify_local` without bounds, which may cost more than the forces.
-
-    Parameters
-    ----------
-    problem, measured, tolerance : LocalProblem, what `measured_forces` returns, and the tolerance that it was given
-    """
-    if measured is None:
-        return _not_finite(problem, tolerance)
-    others = _local_uniqueness(problem, *measured.state)
-    return replace(measured.verdict, uniqueness=others.findings, notes=others.notes)
 
 
 def _status(problem: LocalProblem, closed: Mask, stuck: Mask, along: Array) -> Status:
@@ -434,7 +428,7 @@ class MeasuredForces:
 
     @cached_property
     def verdict(self) -> LocalCertificate:
-        """Return the certificate with these figures, without findings on uniqueness."""
+        """Return the certificate with these figures; uniqueness is examined when its findings are read."""
         r, u, tolerance = self.force, self.velocity, self._tolerance
         residual = float(np.linalg.norm(natural_map(r, u, self._problem.friction)))
         figures: dict[str, Any] = {name: float(getattr(self, name).max(initial=0.0)) for name in FIGURES}
@@ -445,7 +439,8 @@ class MeasuredForces:
         failures = [self._failure(name) for name in FIGURES if not figures[name] <= tolerance]
         if not errors["natural_map"] <= tolerance:  # NaN if forces overflow
             failures.append(f"natural map: {errors['natural_map']:.3g} of the offsets (tolerance {tolerance:g})")
-        return _certificate({**errors, **figures}, tuple(failures), tolerance, self.gap, self.slip, self.push)
+        others = partial(_local_uniqueness, self._problem, *self.state)
+        return _certificate({**errors, **figures}, tuple(failures), tolerance, self.gap, self.slip, self.push, others)
 
     @cached_property
     def state(self) -> tuple[Mask, Mask, Array]:
@@ -472,22 +467,29 @@ def _read(problem: LocalProblem, force: ArrayLike, joint_force: ArrayLike | None
     return _shaped("force", force, (problem.contacts, problem.dimension)), _joints(problem, joint_force)
 
 
-def _not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
+def not_finite(problem: LocalProblem, tolerance: float) -> LocalCertificate:
+    """Return the certificate of forces that are not finite, which it refuses."""
     none, figures = np.zeros(problem.contacts), dict.fromkeys(("natural_map", "siconos_error", *FIGURES), float("inf"))
-    return _certificate(figures, ("force: it is not finite",), tolerance, none + np.inf, none, none)
+    nothing = partial(tuple, ((), ()))
+    return _certificate(figures, ("force: it is not finite",), tolerance, none + np.inf, none, none, nothing)
 
 
 def _certificate(
-    figures: dict[str, Any], failures: tuple[str, ...], tolerance: float, gap: Vector, slip: Vector, push: Vector
+    figures: dict[str, Any],
+    failures: tuple[str, ...],
+    tolerance: float,
+    gap: Vector,
+    slip: Vector,
+    push: Vector,
+    others: Callable[[], Any],
 ) -> LocalCertificate:
     return LocalCertificate(
         **figures,
         failures=failures,
-        uniqueness=(),
-        notes=(),
         tolerance=tolerance,
         passed=not failures,
         gap_measure=gap,
         slip_measure=slip,
         force_measure=push,
+        _examine=others,
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
@@ -235,19 +235,36 @@ class LocalCertificate(ReadOnly, Printed):
     slip_direction: float  # min(|u_T|, |r_T + mu r_N u_T/|u_T||), each in its own measure
     joints: float  # |V'r + R l + s| / (|V|'|r| + |R||l| + |s|)
     failures: tuple[str, ...]
-    uniqueness: tuple[str, ...]  # with friction, findings against uniqueness; no part of the verdict
-    notes: tuple[str, ...]
     tolerance: float
     passed: bool
     gap_measure: Vector = field(repr=False)  # (m,) |u_N| as a velocity
     slip_measure: Vector = field(repr=False)  # (m,) |u_T| as a velocity
     force_measure: Vector = field(repr=False)  # (m,) r_N as a force
+    _examine: Callable[[], tuple[tuple[str, ...], tuple[str, ...]]] = field(repr=False)  # finds uniqueness and notes
     # Bounds of `certify_local`, no part of the verdict (`contactqp.certificate.frictional_bounds`).
     force_error: float | None = None  # >= |r - r*|_W / |r*|_W, absolute where r* vanishes
     force_bound: Vector | None = None  # (m,) >= |r_i - r_i*| [force]
     scope: str | None = None  # as that of `Certificate`; "local": the only forces within `radius`, in the norm of W
     radius: float | None = None
     reasons: tuple[str, ...] = ()  # why there is no bound
+
+    @cached_property
+    def uniqueness(self) -> tuple[str, ...]:
+        """Return findings against uniqueness, with friction; they are no part of the verdict and found when read."""
+        return self._examined[0]
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Return the notes, which explain these findings."""
+        return self._examined[1]
+
+    @cached_property
+    def _examined(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return self._examine()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the data for copies and pickles, with the findings in place of the problem that they are found in."""
+        return vars(self) | dict(_examine=partial(tuple, (self.uniqueness, self.notes)))
 
     @property
     def proven(self) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.local_certificate import MeasuredForces, measured_forces, with_uniqueness
+from contactqp.certificate.local_certificate import MeasuredForces, measured_forces, not_finite
 from contactqp.certificate.other_answers import DISPLACEMENT_ROUNDING
 from contactqp.errors import (
     InvalidProblem,
@@ -232,7 +232,7 @@ class _Judge:
     def solution(self, outcome: Outcome, began: float) -> LocalSolution:
         """Return the solution that an outcome is, certified."""
         force, joint, measured = self._measured(outcome.iterate)
-        certificate = with_uniqueness(self._problem, measured, self._tolerance)
+        certificate = not_finite(self._problem, self._tolerance) if measured is None else measured.verdict
         return LocalSolution(
             problem=self._problem,
             force=force,

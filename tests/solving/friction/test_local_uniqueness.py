@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,3 +149,21 @@ def test_a_tangent_beneath_the_range_of_doubles() -> None:
     data = dict(stiffness=[[5.0, -2.0], [-2.0, 1.0]], load=[-1.0, -3.0], normal=[[-1.0, 0.0]], gap=[0.0])
     solution = cq.solve(cq.ContactProblem(**data, tangent=[[0.0, 1e-300]], friction=0.3))
     np.testing.assert_allclose(solution.normal_force, [7.0], rtol=1e-12)
+
+
+def test_findings_are_found_when_they_are_read_and_kept_in_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solve does not wait for them: mu is above W_NN / |W_NT| = 1/2, and several answers exist."""
+    problem = cq.LocalProblem(KLARBRING, [0.3, 1.25], 0.8, 2)
+    examined: list[object] = []
+    examine = local_certificate._critical_friction
+    monkeypatch.setattr(local_certificate, "_critical_friction", lambda one: examined.append(one) or examine(one))
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert examined == []
+    for copy in (pickle.loads(pickle.dumps(certificate)), replace(certificate), certificate):
+        assert copy.uniqueness == (POSSIBLE,)
+        assert "mu = 0.8 of contact 0 is not below the critical 0.5" in copy.notes[0]
+    again = pickle.loads(pickle.dumps(certificate))
+    count = len(examined)
+    assert replace(again, passed=False).uniqueness == (POSSIBLE,)
+    assert len(examined) == count
