@@ -64,8 +64,6 @@ def impact(
 
     Parameters
     ----------
-    penalty : float [force / length], needed by the scheme "penalty"
-        The stiffness of its contact springs; other schemes refuse one.
     problem : ContactProblem
         K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
     mass : (n, n) matrix or (n,) diagonal [force time^2 / length]
@@ -89,6 +87,8 @@ def impact(
         The weight of the end of a step in Moreau's and Jean's scheme, from 1/2, which keeps energy, to 1.
     restitution : float
         Newton's coefficient e, from 0 to 1: normal velocity after an impact over that before.
+    penalty : float, needed by the scheme "penalty"
+        The stiffness of its contact springs [force / length]; other schemes refuse one.
     start_time : float
         The time of the start. `MotionHistory.resume` goes on from where a motion ended, or failed.
     method, **options

@@ -194,8 +194,8 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     """Return the margin of the existence test of Acary, Cadoux, Lemarechal and Malick (2011).
 
     It is the largest x <= 1 for which some velocity u = W y + V l + q has u_N - x >= mu |u_T| at every contact, in a
-        scale in which contacts have a compliance of one and q entries of size one. Where it is positive, forces that
-        satisfy the law exist; where it is not, they may exist all the same.
+    scale in which contacts have a compliance of one and q entries of size one. Where it is positive, forces that
+    satisfy the law exist; where it is not, they may exist all the same.
 
     Raises
     ------

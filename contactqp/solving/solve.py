@@ -129,9 +129,9 @@ def solve(
         Whether the answer is computed again, to the last digit, on the set of closed contacts that the method found;
         a backend's set may be corrected twice. `solution.raw` is the answer before polishing.
     time_limit : float, optional
-        Largest duration of the call in seconds, for methods that can stop. It is checked before each step and each
-        factorisation, none of which is interrupted, and does not include the certificate. Where it is reached before
-        there is an answer, NotConverged is raised; its `solution` is the best answer so far, if there is any.
+        Largest duration of the call without its certificate in seconds, for methods that can stop. It is checked before
+        each step and each factorisation, and ends long factorisations by PARDISO. Where it is reached before there is
+        an answer, NotConverged is raised; its `solution` is the best answer so far, if there is any.
     max_iter : int, optional
         Largest number of iterations of the method.
     warm_start : Solution, optional
