@@ -126,26 +126,30 @@ def box(
     corner: tuple[float, float, float] = (0.0, 0.0, 0.0),
     crown: float | None = None,
 ) -> Lattice:
-    """Mesh the box from `corner` to corner + lengths, as `rectangle`; each cell counts for six tetrahedra.
+    """Mesh the box from `corner`, its lowest coordinates, to corner + lengths.
 
-    ``"middle"`` is the middle in x and in y. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is
-    higher than there by (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the
-    flat top.
+    Its sides are ``"left"`` and ``"right"`` along x, ``"front"`` and ``"back"`` along y, ``"bottom"`` and ``"top"``
+    along z. With `crown`, the radius of curvature on the axis x = y = 0, the bottom is higher than there by
+    (x^2 + y^2) / (2 crown), and what is above by a part of that which falls linearly to 0 at the flat top.
 
     Parameters
     ----------
     lengths : (float, float, float)
         Lengths along x, y and z [length].
     divisions : (int, int, int)
-        Elements along x, y and z.
+        Cells along x, y and z.
     kind : str
-        Kind of element: ``"hex8"``.
+        Kind of element: ``"hex8"``, ``"hex20"``, ``"hex27"``, or ``"tet4"``, ``"tet10"``, six of which make a cell.
     grading, towards : float, sequence of str
-        As for `rectangle`.
+        As for `rectangle`; ``"middle"`` is the middle in x and in y.
     corner : (float, float, float)
         Lowest x, y and z [length].
     crown : float, optional
         Radius of curvature of the bottom [length].
+
+    >>> mesh = box((1.0, 2.0, 3.0), (1, 1, 2), "tet4")
+    >>> mesh.elements, sorted(mesh.sides)
+    (12, ['back', 'bottom', 'front', 'left', 'right', 'top'])
     """
     lattice = _box(lengths, divisions, kind, grading, towards, corner)
     if crown is None:
