@@ -188,7 +188,7 @@ def disc(
         Elements from the centre to the edge of the core, and from there to the arc: 8 n elements along the arc and
         n + m along a radius for (n, m).
     kind : str
-        Kind of element: ``"quad4"``.
+        Kind of element, as for `rectangle`.
     grading : float
         Ratio of the largest to the smallest element, which is at the pole.
     center : (float, float)
@@ -253,7 +253,7 @@ def ball(
     radius, divisions : float, (int, int)
         As for `disc`.
     kind : str
-        Kind of element: ``"hex8"``.
+        Kind of element, as for `box`.
     part : str
         ``"full"``, ``"half"``, ``"quarter"`` or ``"eighth"``.
     grading : float
@@ -288,7 +288,7 @@ def cylinder(
     divisions : (int, int, int)
         Those of `disc`, and the elements along z, which get smaller towards the bottom.
     kind : str
-        Kind of element: ``"hex8"``.
+        Kind of element, as for `box`.
     part : str
         ``"full"``, ``"half"`` or ``"quarter"``.
     grading : float
