@@ -352,7 +352,7 @@ def _through(
     except NotConverged as error:
         return path, f"whether it jumps was not found out; {str(error).removeprefix(PREFIX)}"
     except Unsupported:
-        return path, "it jumps; the load sets a loose body going"
+        return path, "it jumps; the load moves a body that nothing holds"
     return path, ""
 
 

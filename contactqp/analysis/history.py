@@ -38,7 +38,7 @@ from contactqp.solving.solve import solve
 SIMULTANEOUS = 1e-12
 # Rates below this part of the largest are zero.
 STEADY = 1e-12
-JUMPS = "follow_path(events='exact'): the motion jumps where the load sets a loose body going; give steps instead"
+JUMPS = "follow_path(events='exact'): it jumps, as the load moves a body that nothing holds; give steps instead"
 
 
 @dataclass(frozen=True)

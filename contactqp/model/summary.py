@@ -371,7 +371,7 @@ def history_table(
     shown = "" if len(chosen) == len(times) else f", {len(chosen)} shown, that of the largest force among them"
     title = f"{counted('instant', len(times))}{shown}; {counted('event', len(events))}"
     if events and not exact:
-        lines.insert(0, "each event is told at the first instant that has it")
+        lines.insert(0, "each event is listed at the first instant that shows it")
     return "\n".join([replace(table, title=title).text(), *(f"  {line}" for line in lines)])
 
 

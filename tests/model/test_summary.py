@@ -253,7 +253,7 @@ def test_of_many_instants_that_of_the_largest_force_is_shown_and_the_others_are_
     lines = str(history).splitlines()
     shown = [line.split() for line in lines[2:] if line.strip()[0].isdigit()]
     assert lines[0].startswith(f"{len(history)} instants, {len(shown)} shown, that of the largest force among them; ")
-    assert "  each event is told at the first instant that has it" in lines
+    assert "  each event is listed at the first instant that shows it" in lines
     assert max(map(len, lines)) <= 80
     largest = np.max(history.normal_forces)
     assert f"{largest:.6g}" in {row[2] for row in shown}

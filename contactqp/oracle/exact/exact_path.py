@@ -192,7 +192,7 @@ class _Walk:
         if any(not any(self._is_of(states, rate) for _, rate in found) for states in loose):
             raise Unsupported(f"exact: {at}: motions are not unique in rates")
         if driven:
-            raise Unsupported(f"exact: {at}: the path jumps where the load sets a loose body going")
+            raise Unsupported(f"exact: {at}: the path jumps where the load moves a body that nothing holds")
         if not found:
             raise NoEquilibrium(f"exact: {at}: no continuation: the equilibrium is lost (proven in rational numbers)")
         if len(found) > 1:
