@@ -44,7 +44,7 @@ from contactqp.model.names import NAMES_IN_A_MESSAGE
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.solving.friction.newton import combination_of, suggested, without_idle_friction
+from contactqp.solving.friction.newton import combination_of, one_changed, suggested, without_idle_friction
 
 # Violations of rates below this part of the largest are rounding, with lengths and forces in sqrt(energy).
 STEADY_RATE = 1e-11
@@ -63,7 +63,7 @@ DISTINCT = 1e-7
 ALL_TRIED = 256
 # Up to this many are tried if the quick search fails.
 MOST_TRIED = 4096
-# The most steps of the quick search.
+# The most steps of the quick search, for each contact where they change one by one.
 QUICK_STEPS = 40
 WORDS: dict[int, str] = {OPEN: "open", STICK: "stick", SLIP_BACK: "slip back", SLIP_ON: "slip on"}
 
@@ -367,7 +367,10 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     NotConverged, Unsupported
         None was found but one is nearly admissible, or too many contacts are undecided to try all; a free body jumps.
     """
-    choices = _choices(system, standing)
+    choices = [
+        plane_states(system.coefficient[i]) if standing.null[i] else (STICK, int(standing.edge[i]))
+        for i in standing.undecided.tolist()
+    ]
     count = number_of_combinations(choices)
     if count > ALL_TRIED:
         quick = _quick(system, rates, standing)
@@ -405,13 +408,6 @@ def continuation(system: ForceSystem, rates: Lengths, standing: Standing, proble
     return _resting(system, rates, standing, found[0].status)
 
 
-def _choices(system: ForceSystem, standing: Standing) -> list[tuple[int, ...]]:
-    return [
-        plane_states(system.coefficient[i]) if standing.null[i] else (STICK, int(standing.edge[i]))
-        for i in standing.undecided.tolist()
-    ]
-
-
 def _wrong(system: ForceSystem, standing: Standing, answer: CombinationAnswer) -> Vector:
     """Return the violation of the law by each contact's rates (m,), -inf for decided contacts."""
     coefficient, e, sticks = system.coefficient, standing.edge, answer.status == STICK
@@ -447,9 +443,21 @@ def _same(
 
 
 def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | None:
-    """Run Newton's method on the undecided contacts, started from their previous states."""
-    m, status, seen = system.contacts, standing.status.copy(), set()
-    for _ in range(QUICK_STEPS):
+    """Run Newton's method on the undecided contacts, from their previous states and from touching ones that stick.
+
+    While all contacts of floating bodies are open nothing says which of them close; once too many are open, neither.
+    """
+    touching = np.where(standing.null, STICK, standing.status).astype(np.int8)
+    for start, singly in ((standing.status, False), (touching, False), (touching, True)):
+        status = _newton(system, rates, standing, start, singly)
+        if status is not None:
+            return status
+    return None
+
+
+def _newton(system: ForceSystem, rates: Lengths, standing: Standing, status: Status, singly: bool) -> Status | None:
+    m, seen = system.contacts, set()
+    for _ in range(QUICK_STEPS * m if singly else QUICK_STEPS):
         if status.tobytes() in seen:
             return None
         seen.add(status.tobytes())
@@ -460,7 +468,8 @@ def _quick(system: ForceSystem, rates: Lengths, standing: Standing) -> Status | 
         trial = e * (answer.friction + system.resistance[m:] * answer.slip) - system.coefficient * answer.normal
         at_edge = np.where(trial > 0, e, STICK)
         undecided = np.where(standing.null, suggested(system, answer), np.where(e != 0, at_edge, standing.status))
-        status = system.plain(undecided.astype(np.int8))
+        following = system.plain(undecided.astype(np.int8))
+        status = one_changed(status, following, _wrong(system, standing, answer)) if singly else following
     return None
 
 

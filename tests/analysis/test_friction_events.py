@@ -190,6 +190,45 @@ def test_contacts_that_change_together() -> None:
     assert balance(history) < 1e-13
 
 
+def test_many_masses_that_float_come_to_rest_on_the_floor_at_once() -> None:
+    """Masses that only springs of the x axis hold, pressed by 1 to 9 and pulled each by 2: mu = 1/4 holds the last two.
+
+    At rest all are open, and the load drives every one of them; 4^9 choices are too many to try.
+    """
+    m = 9
+    weight, spring = np.arange(1.0, m + 1), np.linspace(1.0, 2.0, m)
+    rows = np.eye(2 * m)
+    masses = cq.ContactProblem(
+        stiffness=np.diag(np.column_stack([spring, np.zeros(m)]).ravel()), load=np.zeros(2 * m), normal=-rows[1::2],
+        gap=np.zeros(m), tangent=rows[::2], friction=0.25,
+    )  # fmt: skip
+    pressed = np.column_stack([np.zeros(m), -weight]).ravel()
+    pulled_aside = np.column_stack([np.full(m, 2.0), -weight]).ravel()
+    last = cq.follow_path(masses, [pressed, pulled_aside], events="exact")[-1]
+    np.testing.assert_allclose(last.normal_force, weight, rtol=1e-14)
+    held = np.minimum(weight / 4, 2.0)
+    np.testing.assert_allclose(last.friction_force[:, 0], held, rtol=1e-14)
+    np.testing.assert_allclose(last.displacement[::2], (2.0 - held) / spring, rtol=1e-13, atol=1e-15)
+    assert last.certificate.passed
+
+
+def test_of_masses_on_each_other_those_that_float_come_to_rest_and_those_on_springs_lift_off() -> None:
+    """Even masses touch the floor, odd ones the mass before them; 1 and 3 are lifted, on springs of 2 along z."""
+    m, load = 7, np.array([-1.0, 2.0, -1.0, 1.0, -1.0, -1.5, -2.0])
+    upright = np.array([2.0, 2.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+    normal, tangent = -np.eye(2 * m)[1::2], np.eye(2 * m)[::2]
+    for odd in range(1, m, 2):
+        normal[odd, 2 * odd - 1], tangent[odd, 2 * odd - 2] = 1.0, -1.0
+    masses = cq.ContactProblem(
+        stiffness=np.diag(np.column_stack([np.ones(m), upright]).ravel()), load=np.zeros(2 * m), normal=normal,
+        gap=np.zeros(m), tangent=tangent, friction=0.5,
+    )  # fmt: skip
+    last = cq.follow_path(masses, [np.column_stack([np.zeros(m), load]).ravel()], events="exact")[-1]
+    np.testing.assert_allclose(last.normal_force, [1.0, 0.0, 1.0, 0.0, 2.5, 1.5, 2.0], rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(last.displacement[1::2], [0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 0.0], rtol=1e-14, atol=1e-15)
+    assert last.certificate.passed
+
+
 @pytest.mark.slow
 def test_redundant_contacts_and_contacts_without_friction() -> None:
     twice = truss_from_rest(0.3).replace(load=[0.0, 0.0])

@@ -170,7 +170,7 @@ def search(
             status = best[1].status
             continue
         if single:
-            following = _one_changed(status, following, wrong)
+            following = one_changed(status, following, wrong)
             if following.tobytes() in seen:
                 break
         status = following
@@ -212,7 +212,7 @@ def combination_of(problem: ContactProblem, answer: Answer) -> Status:
     return np.where(answer.normal_force > 0, status, OPEN).astype(np.int8)
 
 
-def _one_changed(status: Status, following: Status, wrong: Vector) -> Status:
+def one_changed(status: Status, following: Status, wrong: Vector) -> Status:
     """Return the combination in which only the contact with the largest violation has changed its state."""
     changes = status != following
     if not np.any(changes):
