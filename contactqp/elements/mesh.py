@@ -123,7 +123,7 @@ class Mesh(ReadOnly):
         return len(self.points)
 
     def number(self, node: int) -> int:
-        """Return the number of a node in messages."""
+        """Return the number by which messages call a node."""
         return int(node)
 
     def side(self, name: str) -> tuple[Block, ...]:

@@ -227,7 +227,7 @@ class NonlinearTruss(ReadOnly):
 
     @cached_property
     def length(self) -> Array:
-        """Return L0 of every bar, (B,) [length]."""
+        """Return the length L0 at rest of every bar, (B,) [length]."""
         return read_only(np.asarray(np.linalg.norm(self._apart(self.nodes), axis=1)))
 
     @cached_property
@@ -392,7 +392,7 @@ class UpdatedTruss:
         return np.asarray(np.linalg.norm(self._apart(displacement), axis=1))
 
     def area(self, displacement: ArrayLike) -> Array:
-        """Return A_n of every bar, (B,) [length^2]."""
+        """Return the current cross-section A_n of every bar, (B,) [length^2]."""
         area = np.asarray(self.truss.area)
         return area if self.volume == "constant area" else area * self.truss.length / self._length(displacement)
 
@@ -402,7 +402,7 @@ class UpdatedTruss:
         return (L - L0) * (L + L0) / (2 * L**2)
 
     def cauchy_stress(self, displacement: ArrayLike) -> Array:
-        """Return sigma of every bar, (B,), positive in tension [force / length^2]."""
+        """Return the Cauchy stress sigma of every bar, (B,), positive in tension [force / length^2]."""
         L, truss = self._length(displacement), self.truss
         stress = truss.modulus * truss.bar_law.stress(self._green(displacement))
         return np.asarray(truss.area / self.area(displacement) * L / truss.length * stress)
@@ -414,8 +414,8 @@ class UpdatedTruss:
         return np.asarray(modulus * truss.area / self.area(displacement) * (L / truss.length) ** 3)
 
     def energy(self, displacement: ArrayLike) -> float:
-        """Return the sum over the bars of A_n L w / J, w / J the energy of a unit of the current volume; inf for a
-        bar of no length.
+        """Return the strain energy, the sum of the bars' A_n L w / J, w / J being the energy of a unit of the current
+        volume [force * length]; inf where a bar has no length.
         """
         if np.any(self.length(displacement) == 0):
             return float("inf")
@@ -426,7 +426,7 @@ class UpdatedTruss:
         return float(np.sum(volume * density / grown))
 
     def internal_force(self, displacement: ArrayLike) -> Array:
-        """Return A_n sigma n, at all unknowns: (n,) [force]."""
+        """Return the bars' forces A_n sigma along their current directions, summed at all unknowns: (n,) [force]."""
         direction = self._apart(displacement) / self._length(displacement)[:, None]
         force = self.area(displacement) * self.cauchy_stress(displacement)
         return self.truss.summed(force[:, None] * direction)

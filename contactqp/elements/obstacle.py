@@ -174,7 +174,7 @@ class SignedDistance:
         positive_number("signed distance: tolerance", self.tolerance, "number")
 
     def distance(self, points: Any) -> Array:
-        """Return function(points), (p,) [length]."""
+        """Return the function's signed distances of the (p, d) points, positive when open, (p,) [length]."""
         x = points_near(self, points)
         return _values("function", self.function(x), x, (len(x),))
 

@@ -293,7 +293,7 @@ class System(ReadOnly):
         return np.where(np.isnan(self.prescribed), 0.0, residual)
 
     def free_contacts(self, pairings: Sequence[Pairing]) -> Index:
-        """Return the contacts, counted through all pairings, that depend on a free unknown; `problem` keeps these."""
+        """Return the contacts that depend on a free unknown, numbered across all pairings; `problem` keeps these."""
         return kept_contacts(stacked([pairing.normal for pairing in pairings], self.structure.size), self.prescribed)
 
     def problem(

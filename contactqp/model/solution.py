@@ -404,7 +404,7 @@ class Solution(ReadOnly, HoldsAnswer):
 
     @property
     def energy(self) -> float:
-        """Return 1/2 u'Ku - f'u."""
+        """Return the potential energy 1/2 u'Ku - f'u [force * length]."""
         return self.problem.energy(self.displacement)
 
     def at(self, unknown: str | int) -> float:

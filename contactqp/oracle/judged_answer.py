@@ -103,7 +103,7 @@ class JudgedAnswer(Certificate):
 
     @own_floating_point
     def findings_within(self, operations: float) -> tuple[Finding, ...]:
-        """Return the `findings` with so many operations for other questions; 1e9 take about a second.
+        """Return the `findings` of a search that may take this many floating-point operations; 1e9 take about a second.
 
         Operations are predicted, not timed, so that the findings do not depend on the machine.
 
