@@ -66,8 +66,7 @@ def aligned(rows: Sequence[Sequence[str]], sides: str = "<<") -> list[str]:
     ['contact  force', 'tip          2']
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    every = sides[0] + sides[1] * (len(widths) - 1)
-    shapes = [f"{{:{side}{width}}}" for side, width in zip(every, widths, strict=True)]
+    shapes = [f"{{:{sides[min(place, 1)]}{width}}}" for place, width in enumerate(widths)]
     return ["  ".join(shape.format(cell) for shape, cell in zip(shapes, row, strict=True)).rstrip() for row in rows]
 
 

@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from contactqp.model.summary import aligned
 from contactqp.solving.methods import Method
 
 # The most rows of a table on a terminal; --json has all.
@@ -165,12 +166,17 @@ def _fitting(
         for width in WIDTHS:
             pictures = [(column.before, column.draw(width, letters)) for column in drawn[:count]]
             table = _table(header, rows, pictures)
-            if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+            if fits(console, table):
                 return table
     table = _table(header, rows, ())
-    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+    if fits(console, table):
         return table
     return _one_below_another(console, header, [[_shortened(cell) for cell in row] for row in rows])
+
+
+def fits(console: Console, table: Table) -> bool:
+    """Return whether the terminal is wide enough for the table without folding any cell."""
+    return console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width
 
 
 def _one_below_another(console: Console, header: Sequence[str], rows: Sequence[Sequence[str | Text]]) -> RenderableType:
@@ -234,18 +240,14 @@ def print_noted(
     notes : sequence of rows, of each row the sentences of the other columns; empty ones are left out below a row
     """
     whole = _table(header, [[*row, *note] for row, note in zip(rows, notes, strict=True)], ())
-    if console.measure(whole, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+    if fits(console, whole):
         console.print(whole)
         return
     names = header[: len(rows[0])] if rows else ()
-    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
     room = max(console.width - 1, 20)
-
-    def line(cells: Sequence[str]) -> str:
-        return "  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip()
-
-    for row, note in zip([names, *rows], [header[len(names) :], *notes], strict=True):
-        console.print(Text(line(row), style="bold" if row is names else ""))
+    styles = ["bold", *("" for _ in rows)]
+    for line, note, style in zip(aligned([names, *rows]), [header[len(names) :], *notes], styles, strict=True):
+        console.print(Text(line, style=style))
         for text in textwrap.wrap("; ".join(filter(None, note)), room, initial_indent="    ", subsequent_indent="    "):
             console.print(Text(text))
 

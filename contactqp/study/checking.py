@@ -31,7 +31,7 @@ from contactqp.oracle.diagnosis.scales import named_factor
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene
-from contactqp.scene.tables import ENDLESS, print_wrapped
+from contactqp.scene.tables import fits, print_wrapped
 from contactqp.solving.solve import solve
 from contactqp.study.friction_files import MOST_CONTACTS, figures, vector_text
 from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, read_areas, read_order
@@ -436,7 +436,7 @@ def _print_table(console: Console, header: list[str], rows: list[list[str]]) -> 
     table = Table(*header, box=box.SIMPLE, pad_edge=False)
     for row in rows[:MOST_CONTACTS]:
         table.add_row(*row)
-    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+    if fits(console, table):
         console.print(table)
     else:
         for name, wrong, size, *vectors in rows[:MOST_CONTACTS]:

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from contactqp.errors import counted
-from contactqp.study.running.child import died_of
+from contactqp.study.running.child import died_of, environment_of_children
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -143,7 +143,7 @@ def measure(case: str | os.PathLike[str], method: str = "active-set", time_limit
             text=True,
             errors="replace",
             timeout=None if time_limit is None else OVERTIME * time_limit,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(folder or os.getcwd() for folder in sys.path)},
+            env=environment_of_children(),
             check=False,
         )
     except subprocess.TimeoutExpired:

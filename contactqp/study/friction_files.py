@@ -46,7 +46,7 @@ from contactqp.model.problem import ContactProblem, Units
 from contactqp.model.solution import ANSWER_PARTS, Certificate, LocalCertificate, Solution
 from contactqp.model.summary import finite
 from contactqp.scene.deck.deck import read_deck
-from contactqp.scene.tables import ENDLESS, print_noted, print_wrapped
+from contactqp.scene.tables import fits, print_noted, print_wrapped
 from contactqp.scene.units import Quantity, UnitSystem, number
 from contactqp.solving.methods import DEFAULT_METHOD, options_of
 from contactqp.solving.solve import solve
@@ -446,7 +446,7 @@ def _print_rows(
         table.add_column(title, no_wrap=title == "file")
     for row in rows:
         table.add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in row))
-    if console.measure(table, options=console.options.update(width=ENDLESS)).maximum <= console.width:
+    if fits(console, table):
         console.print(table)
         return
     named = [dict(zip(header, map(str, row), strict=True)) for row in rows]

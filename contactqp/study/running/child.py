@@ -167,12 +167,16 @@ class Children:
             child.close()
 
 
+def environment_of_children() -> dict[str, str]:
+    """Return the environment variables with which a new Python process finds the modules that this one finds."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+
+
 class Child:
     """A process that is started when it is first asked, and again when it has died."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
-        self._environment = os.environ | {"PYTHONPATH": paths} | dict(environment)
+        self._environment = environment_of_children() | dict(environment)
         self._lock, self._closed = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
 
