@@ -38,6 +38,7 @@ from contactqp.solving.solve import solve
 SIMULTANEOUS = 1e-12
 # Rates below this part of the largest are zero.
 STEADY = 1e-12
+SHARED = "follow_path(events='exact'): contacts share forces, and which of them opens is not unique; give steps instead"
 JUMPS = "follow_path(events='exact'): it jumps, as the load moves a body that nothing holds; give steps instead"
 
 
@@ -424,12 +425,8 @@ def events_of_leg(problem: ContactProblem, start: Vector, end: Vector, first: So
 
 def _decided(state: _State, chosen: Indices) -> list[Event]:
     """Return the events at a state: undecided contacts that close if they were open, or open if they had a force."""
-    events = []
-    for i in state.undecided:
-        was_closed, is_closed = i in state.closed, i in chosen
-        if was_closed != is_closed:
-            events.append(Event("closed" if is_closed else "opened", int(i), state.fraction))
-    return events
+    changed = [i for i in state.undecided if (i in state.closed) != (i in chosen)]
+    return [Event("closed" if i in chosen else "opened", int(i), state.fraction) for i in changed]
 
 
 def _rates(direction: ContactProblem, condensation: Condensation, state: _State) -> tuple[Indices, OnSet]:
@@ -446,9 +443,11 @@ def _rates(direction: ContactProblem, condensation: Condensation, state: _State)
         trial = np.union1d(np.setdiff1d(trial, tension), closing).astype(np.intp)
     trial = _solved(direction, certain, state.undecided)
     rates = _rates_on(direction, condensation, trial)
-    if rates is None or any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
-        raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
-    return trial, rates
+    if rates is not None and not any(wrong.size for wrong in _wrong_rates(state, trial, rates)):
+        return trial, rates
+    if rates is not None and rates.saddle.redundant:
+        raise Unsupported(SHARED)
+    raise NotConverged(f"follow_path: no continuation was found at {state.fraction:.6g} of the leg")
 
 
 def _solved(direction: ContactProblem, certain: Indices, undecided: Indices) -> Indices:
@@ -474,27 +473,28 @@ def _wrong_rates(state: _State, trial: Indices, rates: OnSet) -> tuple[Indices, 
     undecided = state.undecided
     force, closing = rates.normal_force.double(), -rates.gap.double()
     pulls = force < -STEADY * np.max(abs(force), initial=0.0)
-    closes = closing > STEADY * np.max(abs(closing), initial=0.0)
+    closes = closing > np.maximum(STEADY * np.max(abs(closing), initial=0.0), rates.rounding_of_gaps)
     inside = np.isin(undecided, trial)
     return undecided[inside & pulls[undecided]], undecided[~inside & closes[undecided]]
 
 
 def _next_state(state: _State, chosen: Indices, here: OnSet, rates: OnSet, felt: Vector) -> _State | None:
-    """Return the next fraction at which an open gap or a contact force reaches zero, with all these contacts.
+    """Return the next fraction at which an open gap or a contact force reaches zero, with all these contacts, and those
+    that rest on closed gaps without force, as others carry it.
 
     Forces times `felt`, |E_i D| (m,), and gaps over it are in sqrt(energy), so that rates of both are comparable.
     """
     count = len(here.gap)
-    is_closed = np.isin(np.arange(count), chosen)
+    is_closed, undecided = (np.isin(np.arange(count), some) for some in (chosen, state.undecided))
     value = np.where(is_closed, here.normal_force.double(), here.gap.double())
     rate = np.where(is_closed, rates.normal_force.double(), rates.gap.double())
-    settled = ~np.isin(np.arange(count), state.undecided) | (value > 0)
     size = abs(rate) * np.where(is_closed, felt, 1 / felt)
-    falls = settled & (rate < 0) & (size > STEADY * np.max(size, initial=0.0))
+    falls = (~undecided | (value > 0)) & (rate < 0) & (size > STEADY * np.max(size, initial=0.0))
     ahead = np.full(count, np.inf)
     ahead[falls] = np.maximum(value[falls], 0.0) / -rate[falls]
     reach = state.fraction + np.min(ahead, initial=np.inf)
     if not reach < 1 - SIMULTANEOUS:
         return None
-    together = np.flatnonzero(ahead <= np.min(ahead) + SIMULTANEOUS)
+    resting = ~is_closed & (abs(rates.gaps) <= rates.rounding_of_gaps) & (here.gaps <= here.rounding_of_gaps)
+    together = np.flatnonzero((ahead <= np.min(ahead) + SIMULTANEOUS) | resting)
     return _State(float(reach), chosen, together)

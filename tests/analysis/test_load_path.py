@@ -232,3 +232,38 @@ def test_a_load_that_tips_a_body_is_told_with_its_time() -> None:
         cq.follow_path(seesaw, loads=[[-1.0, 0.0], [-1.0, 1.1]], steps=10)
     assert ended.value.history.times[-1] == pytest.approx(1.9)
     assert ended.value.history.normal_forces[-1] == pytest.approx([0.995, 0.005])
+
+
+def _beam_on_three_stops(stiffness: float) -> cq.ContactProblem:
+    """A rigid beam over stops at -1, 0 and 1, and rows on the sum of two of them: four contacts on two unknowns."""
+    rows = [[-1.0, 1.0], [-1.0, 0.0], [-1.0, -1.0], [-2.0, -1.0]]
+    return cq.ContactProblem(stiffness * np.eye(2), np.zeros(2), rows, np.zeros(4))
+
+
+def test_exact_events_of_redundant_contacts_on_an_elastic_body_follow_its_displacements() -> None:
+    """A beam that is pressed down rests on all four, and lifts off one end where the moment is the force: M = F = 1."""
+    beam = _beam_on_three_stops(2.0)
+    history = cq.follow_path(beam, [[-1.0, 0.0], [-1.0, 3.0]], events="exact")
+    stepped = cq.follow_path(beam, [[-1.0, 0.0], [-1.0, 3.0]], steps=30)
+    for instant, time in zip(stepped, stepped.times, strict=True):
+        between = [np.interp(time, history.times, column) for column in history.displacements.T]
+        assert instant.displacement == pytest.approx(between, abs=1e-12)
+    assert any(time == pytest.approx(4 / 3, rel=1e-12) for time in history.times)
+
+
+def test_exact_events_of_a_rigid_body_whose_contacts_share_forces_are_refused_or_right() -> None:
+    from tests.solving.test_masonry_arch import arch
+
+    sprung = arch(0.3)
+    sprung = sprung.replace(stiffness=np.eye(sprung.dimension))
+    leaning = np.array(sprung.load)
+    leaning[12] += 0.5
+    loads = [sprung.load, leaning]
+    history = cq.follow_path(sprung, loads, events="exact")
+    stepped = cq.follow_path(sprung, loads, steps=4)
+    for instant, time in zip(stepped, stepped.times, strict=True):
+        between = [np.interp(time, history.times, column) for column in history.displacements.T]
+        assert instant.displacement == pytest.approx(between, abs=1e-10)
+    assert abs(history.displacements[-1]).max() > 1e-3
+    with pytest.raises(cq.Unsupported, match="contacts share forces"):
+        cq.follow_path(arch(0.3), [arch(0.3).load], events="exact")
