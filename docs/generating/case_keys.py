@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from io import StringIO
 
 from contactqp.analysis.motion.schemes import SCHEMES
+from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import QUANTITIES
 from contactqp.scene.fields import Block
 from contactqp.scene.scene import Scene
@@ -171,7 +172,7 @@ def _default(block: type[Block], key: str) -> str:
 
 def _vocabularies() -> list[str]:
     quantities = [
-        (f"`{name}`", measure.meaning, " or ".join(measure.kinds) or "; ".join(f"`{word}`" for word in measure.words))
+        (f"`{name}`", measure.meaning, _value(measure), "nodes, bodies" if measure.of == "both" else measure.of)
         for name, measure in QUANTITIES.items()
     ]
     shapes = [
@@ -182,12 +183,16 @@ def _vocabularies() -> list[str]:
     schemes = [(f"`{name}`", _listed(kind.knobs)) for name, kind in SCHEMES.items()]
     units = [(kind.name, f"`{kind.example}`") for kind in KINDS.values()]
     return [
-        "## What can be claimed\n\n" + table(("quantity", "meaning", "value"), quantities),
+        "## What can be claimed\n\n" + table(("quantity", "meaning", "value", "scenes of"), quantities),
         "## Shapes\n\n" + table(("kind", "needs, beside element", "may have", "divisions"), shapes),
         "## Obstacles by kind\n\n" + table(("kind", "needs", "may have"), obstacles),
         "## Schemes of a motion\n\n" + table(("scheme", "knobs"), schemes),
         "## Kinds of numbers\n\n" + table(("kind", "such as"), units),
     ]
+
+
+def _value(measure: Measure) -> str:
+    return " or ".join(measure.kinds) or "; ".join(f"`{word}`" for word in measure.words)
 
 
 def _listed(keys: tuple[str, ...]) -> str:

@@ -53,6 +53,9 @@ def test_every_key_of_every_block_is_there() -> None:
     keys = {key for block in blocks() for key in block.model_fields}
     assert {key for key in keys if f"| `{key}` |" not in text} == set()
     assert [name for name in QUANTITIES if f"| `{name}` |" not in text] == []
+    assert re.search(r"\| `tie force` \|.*\| nodes \|$", text, re.MULTILINE)
+    assert re.search(r"\| `peak pressure` \|.*\| bodies \|$", text, re.MULTILINE)
+    assert re.search(r"\| `energy` \|.*\| nodes, bodies \|$", text, re.MULTILINE)
 
 
 def test_every_case_is_in_the_gallery_with_a_picture() -> None:
