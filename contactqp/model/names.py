@@ -74,9 +74,9 @@ def describe_motion(problem: Any, motion: Vector) -> str:
     """Describe a motion (n,) of a problem in words: the unknowns that move, and how far relative to the largest."""
     moving = np.flatnonzero(abs(motion) > TAKES_PART * np.max(abs(motion)))
     if problem.dof_names is not None:
-        together = _moving_together((problem.dof_names[j] for j in moving.tolist()), motion[moving])
-        if together:
-            return listed(together)
+        bodies = _moving_bodies(problem.dof_names, moving, motion)
+        if bodies:
+            return listed(bodies)
     # Rounded, so that unknowns with equal motions are named in their own order.
     order = moving[np.argsort(-np.round(abs(motion[moving]), 6), kind="stable")]
     named = [f"{problem.dof_name(int(j))} by {motion[j]:+.3g}" for j in order[:NAMES_IN_A_MESSAGE]]
@@ -167,22 +167,46 @@ def _of_node(name: str) -> tuple[str, str, str] | None:
     return parts[0], parts[2], parts[3]
 
 
-def _moving_together(names: Iterable[str], motion: Vector) -> list[str]:
-    """Describe translations of bodies as ``"block along x by +1 (node 0 and 152 more)"``; empty if nodes move apart."""
-    first: dict[tuple[str, str], str] = {}
-    count: dict[tuple[str, str], int] = {}
-    step_of: dict[tuple[str, str], float] = {}
-    for name, step in zip(names, np.round(motion, 6).tolist(), strict=True):
-        parts = _of_node(name)
+def _moving_bodies(names: Sequence[str], moving: Indices, motion: Vector) -> list[str]:
+    """Describe the bodies that move as ``"block along x by +1 (node 0 and 152 more)"``, where nodes move apart as
+    ``"block turning about node 7 (node 0 y by +1 and 305 more)"``; empty unless all names are those of nodes of bodies.
+
+    Parameters
+    ----------
+    names : those of all unknowns
+    moving : the unknowns that move
+    motion : (n,) array
+    """
+    steps: dict[str, dict[str, list[tuple[float, str]]]] = {}
+    for j in moving.tolist():
+        parts = _of_node(names[j])
         if parts is None:
             return []
-        key = parts[0], parts[2]
-        if step_of.setdefault(key, step) != step:
-            return []
-        first.setdefault(key, parts[1])
-        count[key] = count.get(key, 0) + 1
-    more = {key: f" and {nodes - 1} more" if nodes > 1 else "" for key, nodes in count.items()}
-    return [f"{key[0]} along {key[1]} by {step_of[key]:+.3g} (node {first[key]}{more[key]})" for key in first]
+        steps.setdefault(parts[0], {}).setdefault(parts[2], []).append((round(float(motion[j]), 6), parts[1]))
+    found = []
+    for body, axes in steps.items():
+        if any(len({step for step, _ in of_axis}) > 1 for of_axis in axes.values()):
+            found.append(_turning(body, axes, names))
+            continue
+        for axis, of_axis in axes.items():
+            step, first = of_axis[0]
+            found.append(f"{body} along {axis} by {step:+.3g} (node {first}{_and_more(len(of_axis) - 1)})")
+    return found
+
+
+def _turning(body: str, axes: Mapping[str, list[tuple[float, str]]], names: Sequence[str]) -> str:
+    """Describe a body whose nodes move apart, by a node that stays where it is, if any, and what moves most."""
+    every = (parts for parts in map(_of_node, names) if parts is not None and parts[0] == body)
+    turned = {node for of_axis in axes.values() for _, node in of_axis}
+    still = next((f" about node {node}" for _, node, _ in every if node not in turned), "")
+    step, node, axis = max(
+        ((step, node, axis) for axis, of_axis in axes.items() for step, node in of_axis), key=lambda one: abs(one[0])
+    )
+    return f"{body} turning{still} (node {node} {axis} by {step:+.3g}{_and_more(sum(map(len, axes.values())) - 1)})"
+
+
+def _and_more(count: int) -> str:
+    return f" and {count} more" if count else ""
 
 
 def listed(names: list[str], count: int | None = None) -> str:

@@ -385,3 +385,21 @@ def test_rows_that_cancel_to_rounding_only_leave_room_far_away(condense: bool) -
     assert list(exact.gap) == [0, 0, 0]
     assert max(abs(exact.doubles.displacement)) < 200
     assert cq.solve(problem, condense=condense).certificate.passed
+
+
+def test_a_turn_of_a_block_is_named_by_the_block_and_the_node_that_stays() -> None:
+    """A block on a hinge at node 0, by ties, and by supports, whose unknowns are none of the problem."""
+    structure = cq.Structure(
+        [cq.Body(cq.rectangle(2.0, 1.0, (2, 1)), cq.Material(1.0, 0.3), "plane-strain", name="block")]
+    )
+    lifted = [cq.Traction("block", "right", [0.0, 3.0])]
+    free = structure.assemble([], lifted).problem([])
+    hinged = free.replace(tie=np.eye(12)[:2], tie_value=np.zeros(2))
+    words = r"holds back: block turning about node 0 \(node 4 y by \+1 and 6 more\);"
+    with pytest.raises(cq.NoEquilibrium, match=words):
+        cq.solve(hinged)
+    (motion,) = cq.solve(hinged.replace(load=np.zeros(12))).free_motions
+    assert str(motion).startswith("block turning about node 0 (node 4 y by ")
+    held = [cq.Support("block", 0, "x"), cq.Support("block", 0, "y")]
+    with pytest.raises(cq.NoEquilibrium, match=r"holds back: block turning \(node 4 y by \+1 and 6 more\);"):
+        cq.solve(structure.assemble(held, lifted).problem([]))
