@@ -416,12 +416,14 @@ def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
     n, q = problem.dimension, problem.contacts + problem.ties
     if (n + q) * n**2 > PRODUCTS:
         return state
-    steps = iter(range(effort.corrected, int(PRODUCTS / ((4 * n + q) * n))))
+    steps = iter(range(effort.corrected, most := int(PRODUCTS / ((4 * n + q) * n))))
     _, gap, tie = state.left.double(np.flatnonzero(state.closed))
     length = float(np.max(abs(np.concatenate([gap, tie])), initial=0.0))
     best, since, answer, closed, added = state, 0, state.answer, state.closed, ADDED
     for _ in range(ROUNDS):
         found = _corrected(problem, (answer, closed), length, added, steps)
+            if next(steps, None) is None:
+                break
         if found is None:
             added, length = added * MORE, length * LONGER
             continue
@@ -433,7 +435,7 @@ def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
         best, since = (after, 0) if better else (best, since + best.holds)
         if since >= IN_VAIN_AT_BEST or (best.holds and best.force_residual <= NONE_LEFT):
             break
-    effort.corrected = next(steps, effort.corrected)
+    effort.corrected = next(steps, most)
     return best
 
 
@@ -479,9 +481,8 @@ def _corrected(
                     ((stays, True), (closed & ~stays, False)))  # fmt: skip
     first = np.flatnonzero(begins)
     first = first[np.argsort(-changing[others[first]], kind="stable")]
-    program, x, moved = by_strict_programs(
-        K[free][:, free], load[free], rows[:, free], limit, tied, first, added, steps
-    )
+    given = K[free][:, free], load[free], rows[:, free], limit
+    program, x, moved = by_strict_programs(*given, tied, first, added, steps)
     if program is None:
         return None
     change, held, pushed, now = np.zeros(len(v)), np.zeros(len(limit)), np.zeros(len(closed)), stays.copy()

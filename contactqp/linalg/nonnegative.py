@@ -303,6 +303,8 @@ class StrictProgram:
                 self._J[:, j : j + 2] = self._J[:, j : j + 2] @ turn.T
 
 
+# Added to a singular H less than this part of each diagonal entry, times their number, leaves pivots to rounding.
+ROUNDS_OFF = 4.0 * float(np.finfo(float).eps)
 # Programs, of which each adds less to the diagonal by this factor than the one before, until that leaves forces out of
 # balance by no more than this; and lengths by which rows may be missed.
 PROGRAMS, LESS, LEAVES, MISSES = 3, 0.1, 1e-9, 1e-9
@@ -322,21 +324,23 @@ def by_strict_programs(
 
     Unknowns without stiffness get some, which acts from where the program before has led (Rockafellar 1976).
 
-
     Parameters
     ----------
     stiffness, load, rows, limit, tied, start, steps : as in `StrictProgram`, H and N sparse
-    added : what is added to the diagonal first
+    added : what is added to the diagonal first, and more where rounding of H asks for it
     """
     dense, across = stiffness.toarray(), rows.toarray()
     program, x, moved = None, np.zeros(len(load)), np.inf
+    least = ROUNDS_OFF * len(x) * dense.diagonal()
     for _ in range(PROGRAMS):
-        strict = StrictProgram(dense + added * np.eye(len(x)), load + added * x, across, limit, tied)
+        springs = np.maximum(added, least)
+        strict = StrictProgram(dense + np.diag(springs), load + springs * x, across, limit, tied)
         after = strict.solve(start, MISSES, steps)
         if not (strict.ended and np.all(np.isfinite(after))):
             break
-        moved, x, program = float(np.max(abs(after - x), initial=0.0)), after, strict
-        if added * moved <= LEAVES:
+        change = abs(after - x)
+        moved, x, program = float(np.max(change, initial=0.0)), after, strict
+        if np.max(springs * change, initial=0.0) <= LEAVES:
             break
         start = np.array([row for row in strict.active if not tied[row]], dtype=np.intp)
         added *= LESS

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from contactqp.linalg import nonnegative
 from contactqp.linalg.nonnegative import (
     StrictProgram,
+    by_strict_programs,
     dual_active_set,
     forces_without_tension,
     nonnegative_least_squares,
@@ -128,3 +130,13 @@ def test_rows_that_contradict_each_other_are_named() -> None:
     assert program.ended
     assert program.conflicting == {1}
     assert x == pytest.approx([1.0, 3.0])
+
+
+def test_stiffness_beside_which_what_is_added_is_rounding_is_factorised() -> None:
+    """Of three unknowns with one stiff sum only rounding was left for the pivots, and Cholesky's factors broke down."""
+    stiffness, rows, limit = sp.csr_matrix(np.full((3, 3), 1e15)), sp.identity(3, format="csr"), [1.0, 1.0, -2.0]
+    none, nothing = np.zeros(3, dtype=bool), np.zeros(0, dtype=int)
+    given = stiffness, np.ones(3), rows, np.array(limit)
+    program, x, _ = by_strict_programs(*given, none, nothing, 1e-3, iter(range(100)))
+    assert program is not None
+    assert x == pytest.approx(limit, abs=1e-12)
