@@ -53,7 +53,7 @@ from contactqp.linalg.equilibration import (
 )
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
-from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, without_needless_forces
+from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, by_last_closings, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
@@ -347,7 +347,8 @@ def nearer(state: ClosedState, before: ClosedState) -> bool:
 
 
 def narrowed(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return the solution to which corrections lead if the energy of a program is then bounded more narrowly."""
+    """Return the solution after last closings, or of corrections if these bound a program's energy more narrowly."""
+    state = by_last_closings(state, effort)
     if not (state.holds and mostly_bare(state.problem)) or narrow(state):
         return state
     after = by_corrections(state, effort)

@@ -30,13 +30,15 @@ from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.krylov import ConstrainedRows, Processes
 from contactqp.linalg.measures import largest_of_bodies, reciprocal
-from contactqp.linalg.nonnegative import shift_within_gaps
+from contactqp.linalg.nonnegative import highs, shift_within_gaps
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
 
 # A unit motion is not resisted by unit rows whose products with it are below this.
 UNRESISTED = 1e-9
+SAME_DIGITS = 12  # unit rows that agree to so many digits are one
+NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
 Lengths = Callable[[Vector], Vector]
 # The work of a load on a motion is rounding below this part of the sum of its terms.
 WORKLESS = 1e-10
@@ -328,6 +330,25 @@ def _orthonormal_by_body(motions: Array) -> Array:
 
 def _largest_entries(rows: Any) -> Vector:
     return np.asarray(rows.max(axis=1).toarray() if sp.issparse(rows) else np.max(rows, axis=1)).ravel()
+
+
+def blocked_either_way(rows: Array) -> Array | None:
+    """Return the motions (q, r) that rows (p, q) of contacts that touch leave; None where they block none either way.
+
+    Of all a with rows a <= 0 a row has rows_i a = 0 throughout where others oppose it, as two walls do that touch from
+    both sides: those rows are the ones for which a linear program finds no room, max sum s, rows a + s <= 0, s <= 1.
+    """
+    if len(rows) < 2:
+        return None
+    unit = np.unique((rows / np.linalg.norm(rows, axis=1)[:, None]).round(SAME_DIGITS), axis=0)
+    count, dimension = unit.shape
+    cost = np.concatenate([np.zeros(dimension), -np.ones(count)])
+    bounds = [(None, None)] * dimension + [(0.0, 1.0)] * count
+    found = highs(cost, A_ub=np.hstack([unit, np.eye(count)]), b_ub=np.zeros(count), bounds=bounds)
+    if found is None or np.all(found.x[dimension:] > NO_ROOM):
+        return None
+    values, rotation = right_singular(unit[found.x[dimension:] <= NO_ROOM])
+    return np.asarray(rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 
 def unresisted(motions: Array, bodies: Indices, rows: Any) -> Array:

@@ -15,8 +15,8 @@ from contactqp.linalg.convexity import motions_of_dense
 from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.equilibration import entries_of, rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import connected_parts, null_space, right_singular
-from contactqp.linalg.floating import UNRESISTED, unresisted
+from contactqp.linalg.factorization import connected_parts, null_space
+from contactqp.linalg.floating import UNRESISTED, blocked_either_way, unresisted
 from contactqp.linalg.measures import bodies, lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, LESS, by_strict_programs, highs, shift_within_gaps
 from contactqp.linalg.sparse_saddle import (
@@ -25,6 +25,7 @@ from contactqp.linalg.sparse_saddle import (
     SOLVED,
     ClosedState,
     Effort,
+    by_pivots,
     kept_saddle,
     solved_on,
     with_right_signs,
@@ -38,8 +39,6 @@ WITHIN_ROUNDING = 8 * EPS
 SHIFT_CORRECTIONS = 3  # of a shift that penetrates contacts by rounding; each reduces this by eps
 UNMOVED = 1e-12  # rows that a shift moves by this part of the lengths that meet resist it to rounding
 SHIFTED = 1e-9  # a shift out of contacts goes further by this part
-SAME_DIGITS = 12  # unit rows that agree to so many digits are one
-NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
 # Forces beyond this multiple of the acting ones are self-equilibrated.
 PRESSED = 1e3
 FEW_DIGITS = 1e-18  # forces below this part of the largest may be rounding errors of refinement
@@ -49,6 +48,8 @@ SINGLE_CHANGES, SINGLE_ENTRIES = 600_000, 4_000_000
 DUAL_CHANGES = 1_500_000
 # The most contacts that close without halving the largest penetration, as residuals may drive unbounded motions.
 IN_VAIN = 50
+# Contacts that close at last, and changes for each; penetrations of so many residuals of closed ones are no rounding.
+LAST_CLOSINGS, STANDS_OUT = 10, 1e3
 # Rates of forces below this, per unit force on the closing row, count as zero.
 FALLS = 1e-9
 
@@ -117,7 +118,7 @@ def _shift_along(problem: ContactProblem, free: Array, scale: Vector, answer: An
     shift = _out_of_contacts(problem, answer.displacement, moved, basis, np.flatnonzero(stays))
     room = problem.gap - problem.normal @ (answer.displacement + shift)
     length = lengths_that_meet(problem, problem.normal, problem.gap, answer.displacement + shift)
-    blocked = _blocked_either_way(problem.normal[stays & (room <= WITHIN_ROUNDING * length)] @ basis)
+    blocked = blocked_either_way(problem.normal[stays & (room <= WITHIN_ROUNDING * length)] @ basis)
     return shift, orthonormal(basis @ blocked) if blocked is not None else free
 
 
@@ -167,25 +168,6 @@ def _out_of_rounding(state: ClosedState, motions: Array) -> ClosedState:
         moved = replace(state.answer, displacement=state.answer.displacement + extend(motions @ shift))
         state = ClosedState.of(state.problem, state.closed, moved)
     return state
-
-
-def _blocked_either_way(rows: Array) -> Array | None:
-    """Return the motions (q, r) that rows (p, q) of contacts that touch leave; None where they block none either way.
-
-    Of all a with rows a <= 0 a row has rows_i a = 0 throughout where others oppose it, as two walls do that touch from
-    both sides: those rows are the ones for which a linear program finds no room, max sum s, rows a + s <= 0, s <= 1.
-    """
-    if len(rows) < 2:
-        return None
-    unit = np.unique((rows / np.linalg.norm(rows, axis=1)[:, None]).round(SAME_DIGITS), axis=0)
-    count, dimension = unit.shape
-    cost = np.concatenate([np.zeros(dimension), -np.ones(count)])
-    bounds = [(None, None)] * dimension + [(0.0, 1.0)] * count
-    found = highs(cost, A_ub=np.hstack([unit, np.eye(count)]), b_ub=np.zeros(count), bounds=bounds)
-    if found is None or np.all(found.x[dimension:] > NO_ROOM):
-        return None
-    values, rotation = right_singular(unit[found.x[dimension:] <= NO_ROOM])
-    return np.asarray(rotation[int(np.sum(values > UNRESISTED)) :].T)
 
 
 def _out_of_contacts(problem: ContactProblem, start: Vector, shift: Vector, basis: Array, felt: Indices) -> Vector:
@@ -367,6 +349,23 @@ def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: E
     return None
 
 
+def by_last_closings(state: ClosedState, effort: Effort) -> ClosedState:
+    """Return a solution in which contacts are also closed that are penetrated by less than has a sign elsewhere.
+
+    Forces on rows that nearly depend on each other move these by 1e-21 of the largest length and less.
+    """
+    for _ in range(LAST_CLOSINGS):
+        gap, rounding = np.where(state.closed, 0.0, state.left.gap.double()), max(SOLVED, state.length_residual)
+        if not (state.holds and np.min(gap, initial=0.0) < -STANDS_OUT * rounding * state.length):
+            break
+        after = _closing(state, int(np.argmin(gap)), iter(range(LAST_CLOSINGS)), effort)
+        after = by_pivots(after, effort) if after is not None and after.length_residual > rounding else after
+        if after is None or not after.holds or after.length_residual > rounding:
+            break
+        state = after
+    return state
+
+
 def _pushed_by(problem: ContactProblem, closed: Mask, contact: int, effort: Effort) -> Vector:
     """Return the change of contact forces (m,) by a unit force on one contact with the others closed."""
     others, change = closed.copy(), np.zeros(problem.contacts)
@@ -422,9 +421,9 @@ def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
     best, since, answer, closed, added = state, 0, state.answer, state.closed, ADDED
     for _ in range(ROUNDS):
         found = _corrected(problem, (answer, closed), length, added, steps)
+        if found is None:
             if next(steps, None) is None:
                 break
-        if found is None:
             added, length = added * MORE, length * LONGER
             continue
         answer, closed, moved = found

@@ -410,6 +410,17 @@ def test_an_energy_that_is_not_enclosed_is_narrowed(seed: int, decades: float, e
     assert upper - lower <= 1e-9 * exact
 
 
+def test_a_contact_closes_whose_penetration_is_far_below_the_largest_length() -> None:
+    """5e-21 of it had no sign, but beside nearly dependent rows it is a force of 84; these are values of `cq.exact`."""
+    problem = wide(1, 60, 4.0)
+    solution = cq.solve(problem)
+    force = dict(zip(problem.contact_names, solution.normal_force, strict=True))
+    assert solution.certificate.proven
+    assert solution.energy == pytest.approx(23184.686659057705, rel=1e-14)
+    assert force["lower 21"] == pytest.approx(84.01992381179637, rel=1e-9)
+    assert force["lower 51"] == pytest.approx(17.708828074447947, rel=1e-9)
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("decades", [0.0, 2.25])
 def test_a_tie_that_is_not_met_passes_in_no_units(decades: float) -> None:
