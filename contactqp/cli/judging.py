@@ -76,6 +76,9 @@ def check_command(
 
     One of the two may be -, standard input: a case file as PROBLEM, JSON as CANDIDATE.
 
+    Printed are the figures of the certificate and its error bounds, or why there are none; of a wrong answer also what
+    is wrong, in words, and the worst contacts with the right values beside.
+
     A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
     problem,candidate.
 
