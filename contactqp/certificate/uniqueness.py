@@ -51,6 +51,8 @@ SHARE = 1e-6
 SEVERAL = "several answers"  # other answers exist at this load
 POSSIBLE = "several answers possible"  # other answers are not excluded
 FORCES = "forces not unique"
+# Why the bound kappa is infinite; it does not say that forces are not unique.
+NO_BOUND = "contacts are redundant or alone hold a body, which no bound covers"
 UNKNOWN = "not examined"
 
 
@@ -156,7 +158,7 @@ def _reason(problem: ContactProblem, constants: CriticalFriction) -> str:
         return (
             f"coupled contacts are above the sufficient bound for one answer, kappa = {constants.kappa:.3g}; {single}"
         )
-    return f"contacts are redundant or alone hold a body, which no bound covers; {single}"
+    return f"{NO_BOUND}; {single}"
 
 
 def _forces(problem: ContactProblem, state: _State, condensation: Condensation) -> tuple[str | None, str | None]:

@@ -314,3 +314,40 @@ def test_a_force_of_zero_is_no_printed_digit_of_one() -> None:
     assert "4 digits of the largest values, but contact 2 has 0 and should have 2 N: " in judged.diagnosis
     rounded = cq.certify(springs, [1.0, 1.0], [1e6 * (1 + 1e-5), 1.0])
     assert "should have" not in rounded.diagnosis
+
+
+def sliding_row(twice: bool = False) -> tuple[cq.ContactProblem, dict[str, np.ndarray]]:
+    """Ten weights of 10, 11, ..., 19 in a row, joined by springs of 2; the first is pulled by 4, slides and moves by 1/2.
+
+    Nothing but the floor holds them, so that no bound covers their friction, 3 and 1 at the first two; with `twice` two
+    contacts at each share the force, 0.3 and 0.7 of it.
+    """
+    n = 10
+    stiffness, load = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
+    spring = np.array([[2.0, -2.0], [-2.0, 2.0]])
+    for i in range(n - 1):
+        stiffness[2 * i : 2 * i + 3 : 2, 2 * i : 2 * i + 3 : 2] += spring
+    load[1::2], load[0] = -10.0 - np.arange(n), 4.0
+    displacement, friction = np.zeros(2 * n), np.zeros(n)
+    displacement[0], friction[:2] = 0.5, (3.0, 1.0)
+    copies, share = (2, np.tile([0.3, 0.7], n)) if twice else (1, np.ones(n))
+    normal, tangent = (np.repeat(np.eye(2 * n)[k::2], copies, axis=0) for k in (1, 0))
+    problem = cq.ContactProblem(stiffness, load, -normal, np.zeros(copies * n), tangent, friction=0.3)
+    forces = {
+        "normal_force": share * np.repeat(-load[1::2], copies),
+        "friction_force": share * np.repeat(friction, copies),
+    }
+    return problem, {"displacement": displacement, **forces}
+
+
+def test_causes_are_found_on_bodies_that_contacts_alone_hold_with_friction() -> None:
+    problem, right = sliding_row()
+    normal, friction = right["normal_force"], right["friction_force"]
+    assert cq.certify(problem, **right).passed
+    for changes, words in (
+        ({"friction_force": -friction}, "all friction forces have the opposite sign: turned, this answer is right"),
+        ({"friction_force": friction / 1e3}, "friction forces are 0.001 times the right values"),
+        ({"normal_force": -normal}, "with compression='negative' this answer is right"),
+        ({"normal_force": normal[::-1], "friction_force": friction[::-1]}, "the contacts stand in reverse order"),
+    ):
+        assert words in cq.certify(problem, **(right | changes)).diagnosis
