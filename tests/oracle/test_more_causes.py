@@ -317,7 +317,7 @@ def test_a_force_of_zero_is_no_printed_digit_of_one() -> None:
 
 
 def sliding_row(twice: bool = False) -> tuple[cq.ContactProblem, dict[str, np.ndarray]]:
-    """Ten weights of 10, 11, ..., 19 in a row, joined by springs of 2; the first is pulled by 4, slides and moves by 1/2.
+    """Ten weights of 10, 11, ..., 19 in a row, joined by springs of 2; the first is pulled by 4 and slides by 1/2.
 
     Nothing but the floor holds them, so that no bound covers their friction, 3 and 1 at the first two; with `twice` two
     contacts at each share the force, 0.3 and 0.7 of it.
@@ -351,3 +351,14 @@ def test_causes_are_found_on_bodies_that_contacts_alone_hold_with_friction() -> 
         ({"normal_force": normal[::-1], "friction_force": friction[::-1]}, "the contacts stand in reverse order"),
     ):
         assert words in cq.certify(problem, **(right | changes)).diagnosis
+
+
+def test_a_sign_is_found_where_contacts_share_their_forces_otherwise_than_the_right_answer() -> None:
+    problem, right = sliding_row(twice=True)
+    assert cq.certify(problem, **right).passed
+    for part, words in (
+        ("normal_force", "all contact forces have the opposite sign (compression='negative')"),
+        ("friction_force", "all friction forces have the opposite sign"),
+    ):
+        judged = cq.certify(problem, **(right | {part: -right[part]}))
+        assert judged.diagnosis.startswith(f"{words}: with that undone this answer is right")

@@ -206,13 +206,22 @@ class _Undone(NamedTuple):
 
 
 def two_mistakes(evidence: Evidence, explained: Callable[[Evidence], list[Explanation]]) -> list[Explanation]:
-    """Return findings of a wrong sign or unit, with those of `explained` for the answer with it undone."""
+    """Return findings of a wrong sign or unit, with those of `explained` for the answer with it undone.
+
+    Forces that dependent contacts share otherwise than the right answer are judged here, too: the certificate passes
+    them with their sign undone.
+    """
     for undone in _undoings(evidence):
         try:
             found, completed = certify_given(
                 evidence.problem, undone.given, evidence.certificate.tolerance, evidence.certificate.error_tolerance
             )
         except ContactQPError:
+            continue
+        if found.passed:
+            text = f"{undone.text}: with that undone this answer is right"
+            return [Explanation(Finding(undone.kind, text, True), 0.0)]
+        if undone.kind == "friction-sign":  # alone; a second mistake is looked for behind the other signs and units
             continue
         after = replace(evidence, given=undone.given, answer=completed.answer, certificate=found)
         others = explained(after)
@@ -243,6 +252,9 @@ def _undoings(evidence: Evidence) -> Iterator[_Undone]:
         other = "negative" if given.compression == "positive" else "positive"
         text = f"all contact forces have the opposite sign (compression={other!r})"
         yield _Undone("sign", text, replace(given, normal_force=-force))
+    if given.friction_force is not None and np.any(given.friction_force):
+        text = "all friction forces have the opposite sign"
+        yield _Undone("friction-sign", text, replace(given, friction_force=-given.friction_force))
     should = float(np.sum(abs(right.normal_force)))
     power = _power(float(np.sum(abs(force))), should)
     if power:
