@@ -229,6 +229,9 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
 
     if dense > max(predicted(grid)):
         return True  # a narrower band would be cheaper still
+    narrowest = np.max(np.diff(problem.stiffness_rows.indptr)) // 2  # half of a row is on one side in any order
+    if dense <= min(predicted(min(grid, size * float(narrowest) ** 2))):
+        return False
     with_backends, with_hierarchy = predicted(min(grid, size * float(_band(problem)) ** 2))
     if (dense > with_backends) == (dense > with_hierarchy):
         return bool(dense > with_backends)

@@ -15,7 +15,7 @@ from contactqp.elements.material import Material
 from contactqp.elements.shapes import box
 from contactqp.elements.solid import Body
 from contactqp.elements.structure import Structure, Support
-from contactqp.linalg import extended, pardiso, schur, sparse_saddle
+from contactqp.linalg import extended, iteration, pardiso, schur, sparse_saddle
 from contactqp.linalg.existence import refuse_sparse_drive
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.iteration import constraints_are_many
@@ -55,6 +55,18 @@ def test_few_contacts_on_a_body_are_condensed_as_ever() -> None:
     problem = membrane(40, 0.03)
     few = cq.ContactProblem(problem.stiffness, problem.load, problem.normal[::40], problem.gap[::40])
     assert not constraints_are_many(few)
+
+
+def test_a_band_that_decides_nothing_is_not_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the length of its longest row bounds the band of a body in space in any order: it is condensed anyhow."""
+    structure = cq.Structure([cq.Body(cq.box((1.0, 1.0, 0.2), (17, 17, 3)), cq.Material(1.0, 0.3), "3d", name="block")])
+    foot = cq.pair(structure.surface("block", "bottom"), cq.Plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
+    problem = structure.assemble([cq.Support("block", "top", axis) for axis in range(3)]).problem(foot)
+    twin = problem.replace(stiffness=problem.stiffness)
+    monkeypatch.setattr(iteration, "_band", lambda problem: np.diff(problem.stiffness_rows.indptr).max() // 2)
+    assert not constraints_are_many(problem)
+    monkeypatch.setattr(iteration, "_band", None)
+    assert not constraints_are_many(twin)
 
 
 def strip_on_a_floor(length: int) -> cq.ContactProblem:
