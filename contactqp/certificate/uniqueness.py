@@ -51,8 +51,6 @@ SHARE = 1e-6
 SEVERAL = "several answers"  # other answers exist at this load
 POSSIBLE = "several answers possible"  # other answers are not excluded
 FORCES = "forces not unique"
-# Why the bound kappa is infinite; it does not say that forces are not unique.
-NO_BOUND = "contacts are redundant or alone hold a body, which no bound covers"
 UNKNOWN = "not examined"
 
 
@@ -139,15 +137,15 @@ def _displacements(
     if flat and problem.contacts <= MOST_COUNTED:
         several = several_answers(problem, condensation)
         if several:
-            listed = "contactqp.equilibria lists them"
-            return SEVERAL, f"friction: several answers exist at this load ({_reason(problem, constants)}); {listed}"
+            reason = _reason(problem, constants, condensation)
+            return SEVERAL, f"friction: several answers exist at this load ({reason}); contactqp.equilibria lists them"
         if several is not None:
             return None, None
     may = "may exist" if constants.above.size else "are not excluded"
-    return POSSIBLE, f"friction: several answers {may} ({_reason(problem, constants)})"
+    return POSSIBLE, f"friction: several answers {may} ({_reason(problem, constants, condensation)})"
 
 
-def _reason(problem: ContactProblem, constants: CriticalFriction) -> str:
+def _reason(problem: ContactProblem, constants: CriticalFriction, condensation: Condensation) -> str:
     if constants.above.size:
         i = int(np.argmax(constants.ratio))
         mu = 0.0 if problem.friction is None else float(problem.friction[i])
@@ -158,7 +156,8 @@ def _reason(problem: ContactProblem, constants: CriticalFriction) -> str:
         return (
             f"coupled contacts are above the sufficient bound for one answer, kappa = {constants.kappa:.3g}; {single}"
         )
-    return f"{NO_BOUND}; {single}"
+    what = "contacts alone hold a body" if condensation.rigid.count else "rows of contacts depend on each other"
+    return f"{what}, which no bound covers; {single}"
 
 
 def _forces(problem: ContactProblem, state: _State, condensation: Condensation) -> tuple[str | None, str | None]:

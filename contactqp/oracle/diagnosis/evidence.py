@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.certificate.uniqueness import NO_BOUND, POSSIBLE, SEVERAL
+from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.dense import unknown_scale
 from contactqp.model.arrays import TINY, Array, Vector
@@ -305,7 +305,7 @@ class Evidence:
         if self.right is not None:
             certificate = self.right.certificate
             words += [*certificate.reasons, *certificate.notes, *certificate.uniqueness]
-        return any("redundant" in word or "forces not unique" in word for word in words if NO_BOUND not in word)
+        return any("redundant" in word or "forces not unique" in word for word in words)
 
     @cached_property
     def given_parts(self) -> tuple[str, ...]:

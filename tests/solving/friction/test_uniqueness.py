@@ -461,3 +461,14 @@ def test_differences_of_answers_are_those_of_each_pair() -> None:
     beside = other_answers._Found(y + 1e-15 * force, off + 1e-12, True, 1.0)
     unsure = other_answers._Found(y + 1e-3 * force, off + 1e9, True, 1.0)
     assert system.apart(here, [here, there, beside, unsure]) == [False, True, False, None]
+
+
+def test_the_note_says_why_no_bound_covers_the_bodies() -> None:
+    """Six weights on a rough floor, held by nothing else or by springs with each contact twice."""
+    n = 6
+    weights, up, along = np.tile([0.1, -1.0], n), np.eye(2 * n)[1::2], np.eye(2 * n)[::2]
+    loose = cq.ContactProblem(np.zeros((2 * n, 2 * n)), weights, -up, np.zeros(n), along, friction=0.3)
+    assert "(contacts alone hold a body, which no bound covers" in str(cq.solve(loose).certificate.notes)
+    normal, tangent = np.repeat(-up, 2, axis=0), np.repeat(along, 2, axis=0)
+    sprung = cq.ContactProblem(5.0 * np.eye(2 * n), weights, normal, np.zeros(2 * n), tangent, friction=0.3)
+    assert "(rows of contacts depend on each other, which no bound covers" in str(cq.solve(sprung).certificate.notes)
