@@ -26,9 +26,7 @@ and N, all in equilibrated units. With dependent rows, these are the nearest of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import chain, islice, pairwise
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,9 +35,10 @@ import scipy.sparse as sp
 from contactqp.certificate.balance import imposed_work, work_that_meets
 from contactqp.certificate.bounds import LEAST_PART, REDUNDANT, Bounds, no_bounds
 from contactqp.certificate.figures import energy_norm
-from contactqp.errors import BackendFailed, NotConverged
+from contactqp.certificate.uniqueness import unique_on
+from contactqp.errors import NotConverged
 from contactqp.linalg import convexity
-from contactqp.linalg.convexity import DECIDED, DEFINITE, REGULAR, are_independent, diagonal_dominance, stiffness_factor
+from contactqp.linalg.convexity import DECIDED, DEFINITE, REGULAR, diagonal_dominance, stiffness_factor
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     REACH,
@@ -52,6 +51,7 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, by_last_closings, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
@@ -59,26 +59,22 @@ from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.sparse_saddle import (
     MET_TOGETHER,
-    REGULARISATIONS,
     WORTH_ANOTHER,
     ClosedState,
     Effort,
     SparseSaddle,
-    kept_saddle,
 )
 from contactqp.model.arrays import EPS, TINY, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
-# Motions and forces are free if the response to a unit is at least this part of 1/d, also with the smaller d that
-# separates soft motions and nearly dependent rows from free and redundant ones.
-ALMOST_FREE, NEARER = 1e-3, 1e-11
 # If a residual of equilibrium costs more than this part of the energy, nearby constraints are used to bound it.
 NOTABLE = 1e-11
 # Energies whose bounds are wider than this part are not enclosed well enough for the certificate, which asks for 1e-9.
 DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
 NO_LENGTH = 1e-26
+MOVES_OTHERS = 1e-3  # a row that its own motion moves by one less this part depends on others, which move with it
 # The most rows whose residual dense systems distribute over forces, and a safety factor; random forces for more rows.
 MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
@@ -172,31 +168,28 @@ def _from_solution(
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > least else 0.0
     strained = strain if strain > least else scale
-    change = (extend(answer.normal_force) - held.answer.normal_force).double()
-    turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     largest = largest if largest > least else 0.0
-    missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    if not unique.forces:  # redundant rows may have other forces
-        missed = min(missed, float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned)))
+    change, missed, (by_residual, by_strain, back) = _missed_forces(problem, answer, held, unique.forces, definite)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
     rounded = max(EPS * min(works), REACH * least * least)
-    by_residual, by_strain, back = _force_errors(problem, held) if unique.forces else (np.zeros(1), np.zeros(1), 0.0)
     by_strain, untold = by_strain * max(by_energy := float(np.sqrt(8 * wide)), TINY), by_energy + back
     bounded = unique.forces and bool(np.all(np.isfinite(by_residual)) and np.all(np.isfinite(by_strain)))
     missed, error = missed + (float(np.linalg.norm(by_residual)) if bounded else 0.0), distance + untold
     if not sees:
         error = max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
-    own = abs(change) + by_residual[: problem.contacts]
+    own = change + by_residual[: problem.contacts]
+    known = np.isfinite(own + by_strain)
+    judged = bounded or (not unique.forces and bool(known.any()))
     found = Bounds(
         energy_error=_relative(error * root, strained * root),
         force_error=_relative(missed * root, largest * root),
         # Rigid motions by rounding of balanced loads widen the bounds but do not make the answer wrong.
-        force_bound=(own + by_strain) * scaling.force / scaling.contacts if bounded else None,
-        relative_force_bound=own / pushed if bounded and pushed > least else None,
+        force_bound=np.where(known, own + by_strain, np.nan) * scaling.force / scaling.contacts if judged else None,
+        relative_force_bound=np.where(known, own, 0.0) / pushed if judged and pushed > least else None,
         energy_scale=scale * root,
         force_scale=largest * root,
         rounding=least * root,
@@ -215,7 +208,32 @@ def _from_solution(
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root, held.answer
 
 
-def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, Vector, float]:
+def _missed_forces(
+    problem: ContactProblem, answer: Answer, held: ClosedState, unique: bool, definite: bool
+) -> tuple[Vector, float, tuple[Vector, Vector, float]]:
+    """Return |l - L| (m,), the norm of what all forces differ by, and `_force_errors`.
+
+    Redundant rows may have other forces, with the same resultant, but not rows that do not depend on others, which are
+    looked at where K is `definite`.
+    """
+    change = (extend(answer.normal_force) - held.answer.normal_force).double()
+    turned = (extend(answer.tie_force) - held.answer.tie_force).double()
+    missed, unknown = (
+        float(np.linalg.norm(np.concatenate([change, turned]))),
+        np.full(len(change) + len(turned), np.inf),
+    )
+    errors = unknown, unknown[: len(change)], 0.0
+    if unique or definite:
+        errors = _force_errors(problem, held, unique)
+    if not unique:
+        resultant = float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned))
+        alone = abs(turned) + errors[0][problem.contacts :]
+        missed = max(min(missed, resultant), float(np.linalg.norm(alone[np.isfinite(alone)])))
+        errors = *errors[:2], 0.0
+    return abs(change), missed, errors
+
+
+def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> tuple[Vector, Vector, float]:
     """Bound the distance of all forces from the true ones [force], and that of U by rows it does not meet.
 
     Let v_i move row i by one and no other row that is closed or touches by rounding. Then U + s, s = sum c_j v_j, with
@@ -225,7 +243,9 @@ def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, V
         |L_i - L*_i| <= |r|'|v_i| + |v_i|_K |U - u*|_K
 
     Both are negligible relative to the largest forces and strain, but may not be on soft parts or where rows are nearly
-    dependent. Returned are |r|'|v| + |v|_K b (m + k,), |v|_K (m,), CAUTION times both, and b.
+    dependent. Returned are |r|'|v| + |v|_K b (m + k,), |v|_K (m,), CAUTION times both, and b. Where forces are not
+    `unique`, only rows that do not depend on others have a v_i; that of others, and of all where these are many, is
+    infinite.
     """
     (left, gap, tie), m = held.left.double(np.arange(problem.contacts)), problem.contacts
     found = np.zeros((m + problem.ties, 2))
@@ -233,28 +253,34 @@ def _force_errors(problem: ContactProblem, held: ClosedState) -> tuple[Vector, V
     closed = np.flatnonzero(held.closed | (gap <= WITHIN_ROUNDING * length))
     if not len(closed) + problem.ties:
         return found[:, 0], found[:m, 1], 0.0
+    place = np.append(closed, np.arange(m, len(found)))
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
     missed = np.append(np.where(held.closed, gap, np.minimum(gap, 0.0))[closed], tie)
     residual, taken, moved = abs(left), np.zeros((rows.shape[0], 2)), np.zeros(problem.dimension)
+    if not unique:
+        found[place] = np.inf
+        if len(place) > MOST_DENSE:
+            return found[:, 0], found[:m, 1], 0.0
     # Rows of one unknown balance the residual there, other rows that on the other unknowns.
-    alone, unknown = rows_alone(rows)
+    alone, unknown = rows_alone(rows) if unique else (place[:0], place[:0])
     others, free = np.delete(np.arange(rows.shape[0]), alone), np.delete(np.arange(problem.dimension), unknown)
     entries, beside = rows.data[rows.indptr[alone]], rows[others][:, unknown]
     moved[unknown] = missed[alone] / entries
     stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
     together = rows[others][:, free], residual[free], stiffness, missed[others] - beside @ moved[unknown]
-    taken[others], moved[free] = _taken_by(*together)
+    taken[others], moved[free] = _taken_by(*together, unique)
     here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown])])
     taken[alone] = (here + abs(beside).T @ taken[others]) / abs(entries)[:, None]
-    found[np.append(closed, np.arange(m, len(found)))] = CAUTION * taken
+    found[place] = CAUTION * taken
     back = 2 * sum(energy_norm(problem, moved))
     return found[:, 0] + (back * found[:, 1] if back > 0 else 0.0), found[:m, 1], back
 
 
-def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:
+def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector, unique: bool) -> tuple[Array, Vector]:
     """Return |r|'|v| and |v|_K for a motion v of each row (a, 2), with residuals r, and the motion c_j v_j of all (n,).
 
-    Rows that share no unknown have separate motions. All are infinite if rows overflow or are dependent.
+    Rows that share no unknown have separate motions. All are infinite if rows overflow or are dependent, if forces are
+    not `unique` those of rows that depend on others or are many.
 
     Parameters
     ----------
@@ -274,12 +300,18 @@ def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tu
         touched = np.unique(few.indices) if few.nnz < few.shape[1] else np.flatnonzero(np.bincount(few.indices))
         few, own, left = few[:, touched], residual[touched], missed[together]
         if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
-            taken[together], moved[touched] = _taken_at_random(few, own, stiffness[touched], left)
+            if unique:
+                taken[together], moved[touched] = _taken_at_random(few, own, stiffness[touched], left)
+            else:
+                taken[together] = np.inf
             continue
-        motions = np.linalg.pinv(few.toarray())
+        dense = few.toarray()
+        motions = np.linalg.pinv(dense) if unique else np.linalg.pinv(dense, DEPENDENT_IN_ENERGY)
         energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
         taken[together, 0], moved[touched] = abs(motions).T @ own, motions @ left
         taken[together, 1] = np.sqrt(np.maximum(energy, 0.0))
+        if not unique:
+            taken[together[abs(np.sum(dense * motions.T, axis=1) - 1) > MOVES_OTHERS]] = np.inf
     return taken, moved
 
 
@@ -418,54 +450,6 @@ def _energy(state: ClosedState) -> tuple[float, float, float]:
 
 def _relative(error: float, scale: float) -> float:
     return error / scale if scale > 0 else error
-
-
-@dataclass(frozen=True)
-class Unique:
-    """Whether a state's displacement and forces are unique for its closed contacts."""
-
-    displacement: bool
-    forces: bool
-
-
-def unique_on(state: ClosedState) -> Unique:
-    """Return whether displacement and forces of these closed contacts are unique.
-
-    The response of the regularised saddle point to a force on a free motion, or to contradicting gaps of dependent
-    rows, is 1/d times these, which random forces and gaps include. Soft bodies and nearly dependent rows, such as
-    differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d or the
-    motions of the rows themselves tell.
-    """
-    problem, closed = state.problem, state.closed
-    unique = _answered(kept_saddle(problem, closed, REGULARISATIONS[0], Effort()), state)
-    if not unique.forces:
-        unique = replace(unique, forces=are_independent(sp.vstack([problem.normal[closed], problem.tie])))
-    if unique.displacement and unique.forces:
-        return unique
-    try:
-        nearer = _answered(SparseSaddle(problem, np.flatnonzero(closed), NEARER), state, 2)
-    except BackendFailed:
-        return unique
-    return Unique(unique.displacement or nearer.displacement, unique.forces or nearer.forces)
-
-
-def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = None) -> Unique:
-    """Return whether random forces and gaps respond less than free motions and dependent rows, or sweeps meet them.
-
-    Refinement takes away neither forces along free motions nor contradictions of dependent rows. A small response
-    that does not meet the forces tells nothing: factors with a small d round as much as free motions respond.
-    """
-    random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
-    sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
-    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
-    moved = ((u, left) for u, *_, left in saddle.refined(force, gap * 0.0, tie * 0.0))
-    pushed = ((np.concatenate(found), left) for _, *found, left in saddle.refined(force * 0.0, gap, tie))
-
-    def met(responses: Iterator[tuple[Vector, float]]) -> bool:
-        steps = pairwise(chain([(np.full(1, np.inf), np.inf)], islice(responses, sweeps)))
-        return any(left < ALMOST_FREE or np.all(abs(x) < most) for (x, _), (_, left) in steps)
-
-    return Unique(met(moved), met(pushed))
 
 
 def bounds_by_energy(problem: ContactProblem, answer: Answer, bounds: Bounds, rigid: RigidMotions) -> Bounds:

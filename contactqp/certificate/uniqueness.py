@@ -10,8 +10,9 @@ displacements, and only quantities that these motions do not change are unique.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ import scipy.sparse as sp
 
 from contactqp.certificate.critical_friction import LARGEST_RATIO, CriticalFriction, critical, too_many
 from contactqp.certificate.other_answers import MOST_COUNTED, several_answers
+from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import are_independent
 from contactqp.linalg.delassus import contact_compliance
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.factorization import right_singular
@@ -28,6 +31,7 @@ from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, width_of
 from contactqp.linalg.runtime import lapack
+from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, SparseSaddle, kept_saddle
 from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution, Violations
@@ -47,6 +51,9 @@ FARTHEST, CHANGES = 10.0, 1e-8
 MOST_SHARING, GAINS = 500, 0.5
 # The least weight of a contact in a dependence.
 SHARE = 1e-6
+# Motions and forces are free if the response to a unit is at least this part of 1/d, also with the smaller d that
+# separates soft motions and nearly dependent rows from free and redundant ones.
+ALMOST_FREE, NEARER = 1e-3, 1e-11
 
 SEVERAL = "several answers"  # other answers exist at this load
 POSSIBLE = "several answers possible"  # other answers are not excluded
@@ -388,3 +395,51 @@ def are_dependent(matrix: Array) -> bool:
     if len(scaled) * (condition + EPS * abs(factor).max() / max(norm, TINY)) > DEPENDENT_ROWS:
         condition = float(np.divide(*np.linalg.svd(scaled, compute_uv=False)[[-1, 0]]))
     return condition <= DEPENDENT_ROWS
+
+
+@dataclass(frozen=True)
+class Unique:
+    """Whether a state's displacement and forces are unique for its closed contacts."""
+
+    displacement: bool
+    forces: bool
+
+
+def unique_on(state: ClosedState) -> Unique:
+    """Return whether displacement and forces of these closed contacts are unique.
+
+    The response of the regularised saddle point to a force on a free motion, or to contradicting gaps of dependent
+    rows, is 1/d times these, which random forces and gaps include. Soft bodies and nearly dependent rows, such as
+    differences of thousands of unknowns, may respond as strongly, but refinement meets these, and a smaller d or the
+    motions of the rows themselves tell.
+    """
+    problem, closed = state.problem, state.closed
+    unique = _answered(kept_saddle(problem, closed, REGULARISATIONS[0], Effort()), state)
+    if not unique.forces:
+        unique = replace(unique, forces=are_independent(sp.vstack([problem.normal[closed], problem.tie])))
+    if unique.displacement and unique.forces:
+        return unique
+    try:
+        nearer = _answered(SparseSaddle(problem, np.flatnonzero(closed), NEARER), state, 2)
+    except BackendFailed:
+        return unique
+    return Unique(unique.displacement or nearer.displacement, unique.forces or nearer.forces)
+
+
+def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = None) -> Unique:
+    """Return whether random forces and gaps respond less than free motions and dependent rows, or sweeps meet them.
+
+    Refinement takes away neither forces along free motions nor contradictions of dependent rows. A small response
+    that does not meet the forces tells nothing: factors with a small d round as much as free motions respond.
+    """
+    random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
+    sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
+    force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
+    moved = ((u, left) for u, *_, left in saddle.refined(force, gap * 0.0, tie * 0.0))
+    pushed = ((np.concatenate(found), left) for _, *found, left in saddle.refined(force * 0.0, gap, tie))
+
+    def met(responses: Iterator[tuple[Vector, float]]) -> bool:
+        steps = pairwise(chain([(np.full(1, np.inf), np.inf)], islice(responses, sweeps)))
+        return any(left < ALMOST_FREE or np.all(abs(x) < most) for (x, _), (_, left) in steps)
+
+    return Unique(met(moved), met(pushed))

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, ran_away, unique_on
+from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, ran_away
+from contactqp.certificate.uniqueness import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
 from contactqp.linalg import equilibration, least_norm, pardiso
 from contactqp.linalg.condensation import condense
@@ -87,8 +88,7 @@ ENDS_PROCESSES = ("qpalm",)
 SYSTEMS_OF_ONE = 1000  # steps of refinement for a method with a single answer
 # The search ends at this residual relative to the forces that meet; other constraints balance the rest.
 ENOUGH = 1e-18
-# Unit weights with products E'w below this, and unit motions with products E z below this, may be a ray.
-NEARLY = 1e-5
+NEARLY = 1e-5  # unit weights with products E'w below this, and unit motions with products E z, may be a ray
 LAST, LONGEST = "highs", 20.0  # its active set finds vertices that interior points do not; its time limit [s]
 SPARSE = "sparse"  # the name of this route among others
 

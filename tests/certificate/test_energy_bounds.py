@@ -18,9 +18,9 @@ from contactqp.certificate.energy_bounds import (
     _of_conflict,
     _taken_by_constraints,
     energy_bounds,
-    unique_on,
 )
 from contactqp.certificate.messages import energy_failures
+from contactqp.certificate.uniqueness import unique_on
 from contactqp.linalg.convexity import diagonal_dominance
 from contactqp.linalg.equilibration import REACH, equilibrated, reach
 from contactqp.linalg.extended import ExtendedAnswer
@@ -323,7 +323,7 @@ def test_a_soft_chain_is_told_from_a_free_one_by_refinement(
     n, nearer = 600, []
     K = sp.diags_array([-np.ones(n - 1), np.r_[ends, np.full(n - 2, 2.0), ends], -np.ones(n - 1)], offsets=[-1, 0, 1])
     problem = equilibrated(cq.ContactProblem(K, np.zeros(n), np.eye(1, n), [1.0]))[0]
-    monkeypatch.setattr("contactqp.certificate.energy_bounds.SparseSaddle", nearer_saddle(nearer))
+    monkeypatch.setattr("contactqp.certificate.uniqueness.SparseSaddle", nearer_saddle(nearer))
     state = ClosedState.of(problem, np.zeros(1, dtype=bool), ExtendedAnswer.at_rest(problem))
     assert unique_on(state).displacement is unique
     assert len(nearer) == 1 - unique

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.certificate.bounds import error_failures
+from contactqp.certificate.bounds import error_failures, force_bound_fails
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.model.solution import Answer
 
@@ -250,3 +250,19 @@ def test_forces_are_compared_with_those_of_the_solution_that_meets_all_rows() ->
         found = energy_bounds(problem, Answer(u, wrong, None, np.zeros(0)))
         assert found.force_error is not None
         assert found.force_error >= (1 - 1e-7) * apart / whole
+
+
+@pytest.mark.parametrize("part", [0.5, 0.01])
+@pytest.mark.parametrize("ties", [0, 1])
+def test_a_unique_force_beside_redundant_rows_is_compared_on_sparse_systems(part: float, ties: int) -> None:
+    """What a nearly parallel contact lacks was carried by redundant rows, which left the strain right to 1e-8."""
+    K, opposite = np.diag([396.0, 322.0, 24.0]), 1.0 if ties else -1.0
+    rows = np.array([[-1.0, 0.0, 0.0], [-1.0, -(2.0**-27), 0.0], [opposite, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    u, right, held = np.array([0.25, -0.375, 0.5]), np.array([0.25, 0.0625, 0.125, 0.5]), np.array([-0.5])
+    tie = {"tie": [[1.0, 0.0, 0.0]], "tie_value": [0.25]} if ties else {}
+    load = K @ u + rows.T @ right + np.array([held[0], 0.0, 0.0]) * ties
+    problem = cq.ContactProblem(K, load, rows, rows @ u, **tie)
+    for change in np.array([part, -part, 0.0, 0.0]) * 0.0625, np.array([0.0625, 0.0, opposite * 0.0625, 0.0]):
+        found = energy_bounds(problem, Answer(u, right + change, None, held[:ties]))
+        assert found.redundant
+        assert force_bound_fails(found, 1e-6, 0.0) is bool(change[1])  # other forces of redundant rows are as right
