@@ -14,8 +14,9 @@ U|^2. So, of all solutions within a distance R of U, unknown by unknown, J* and 
     J(U) - w <= J* <= J(U) + w,    |u* - U|_K^2 <= 8 w,    w = |L|'|c| + |N|'|t| + sum_j min(|r_j| R_j, r_j^2 / d_j).
 
 The upper bound takes N for the multipliers nu* of u* where ties are missed by t, |t|'|N - nu*| less than proven. R is
-REACH times the size of the answer, or the room that contacts and ties of unknown j leave it along r_j; the residuals of extended precision are so small that w is still far below any tolerance. An answer u is at most |u
-- U|_K + sqrt(8 w) away from u* in the energy norm, and by what it takes to meet the rows (`_force_errors`); and
+REACH times the size of the answer, or the room that contacts and ties of unknown j leave it along r_j; the residuals of
+extended precision are so small that w is still far below any tolerance. An answer u is at most |u - U|_K + sqrt(8 w)
+away from u* in the energy norm, and by what it takes to meet the rows (`_force_errors`); and
 
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w
 
