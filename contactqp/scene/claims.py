@@ -235,11 +235,8 @@ def _text(value: Any) -> str:
 
 
 def _tolerance(value: Any) -> Quantity:
-    kinds = [
-        KINDS[name]
-        for name in ("number", "length", "force", "moment", "stiffness", "pressure", "time", "velocity", "momentum")
-    ]
-    tolerance = read_quantity(value, kinds)
+    names = ("number", "length", "force", "moment", "stiffness", "pressure", "time", "velocity", "momentum")
+    tolerance = read_quantity(value, [KINDS[name] for name in names])
     if tolerance.si <= 0:
         raise ValueError(f"expected a positive tolerance, got {value}")
     return tolerance
@@ -398,6 +395,8 @@ class Expectation(Claim):
                     raise ValueError(f"value: {no_such(word, self.measure.words, self.quantity)}")
             return self
         for target in self.targets:
+            if any(self.tolerance.dimension) and self.tolerance.dimension != target.dimension:
+                raise ValueError(f"tolerance: expected a part of the value, or one in its unit, got {self.tolerance}")
             if target.si == 0 and self.tolerance.dimension != target.dimension and not self.measure.matrix:
                 raise ValueError('tolerance: expected one with a unit such as "1e-15 m", since the value is zero')
         return self

@@ -275,6 +275,9 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         return f"expected at least {context['min_length']}, got {context['actual_length']}"
     if kind == "too_long":
         return f"expected at most {context['max_length']}, got {context['actual_length']}"
+    if kind in ("greater_than_equal", "less_than_equal"):
+        beyond, limit = ("least", "ge") if kind == "greater_than_equal" else ("most", "le")
+        return f"expected a number of at {beyond} {context[limit]}, got {error['input']}"
     if kind == "literal_error":
         return f"expected {context['expected']}, got {describe(error['input'])}"
     expected = {

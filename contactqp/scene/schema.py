@@ -119,6 +119,9 @@ class Contact(Block):
         if len(stated) > 1:
             raise ValueError(f"expected one of {', '.join(_TOUCHING)}, got both {stated[0]!r} and {stated[1]!r}")
         key = stated[0]
+        for both in (self.nodes, self.sides):
+            if both is not None and both[0] == both[1]:
+                raise ValueError(f"{key}: expected two that may touch each other, got {both[0]!r} twice")
         if key not in ("nodes", "sides") and self.obstacle is None:
             raise ValueError(f"expected 'obstacle', what the {key} may touch, and it is missing")
         if key in ("nodes", "sides") and self.obstacle is not None:

@@ -485,6 +485,8 @@ def describe(value: Any) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         return "a list"
+    if isinstance(value, Decimal):
+        return f"{value} (number)"
     if isinstance(value, str) or type(value).__module__ not in ("builtins", "datetime", "fractions"):
         return shown(value)
     return f"{value} ({type(value).__name__})"

@@ -128,7 +128,11 @@ MUTATIONS = {
     "another shape's key": ("grading = 2", 'radius = "1 mm"', "radius: a rectangle has no such key; its own: kind,"),
     "shape without a size": ('size = ["2 mm", "1 mm"], ', "", "size: expected for a rectangle, and missing"),
     "too few divisions": ("divisions = [4, 2]", "divisions = [4]", "divisions: expected 2 for a rectangle, got 1"),
-    "no divisions": ("divisions = [4, 2]", "divisions = [4, 0]", "bodies[0].shape.divisions[1] ('lower')"),
+    "no divisions": (
+        "divisions = [4, 2]",
+        "divisions = [4, 0]",
+        "divisions[1] ('lower'): expected a number of at least 1, got",
+    ),
     "half a division": (
         "divisions = [4, 2]",
         "divisions = [4, 1.5]",

@@ -234,8 +234,18 @@ MUTATIONS = {
         '{ name = "lost", at = ["9 m", "9 m"] }, { name = "foot", at',
         "nodes[3] ('lost'): expected an element",
     ),
-    "no steps": ("steps = 4", "steps = 0", "path.steps"),
-    "half a step": ("steps = 4", "steps = 4.5", "path.steps: expected a whole number"),
+    "no steps": ("steps = 4", "steps = 0", "path.steps: expected a number of at least 1, got 0"),
+    "a contact of a node with itself": (
+        'nodes = ["foot", "tip"] }]',
+        'nodes = ["foot", "foot"] }]',
+        "nodes: expected two that may touch each other, got 'foot' twice",
+    ),
+    "a tolerance in another unit": (
+        'tolerance = "1e-9 m"',
+        'tolerance = "1e-9 N"',
+        "tolerance: expected a part of the value, or one in its unit, got 1e-9 N",
+    ),
+    "half a step": ("steps = 4", "steps = 4.5", "path.steps: expected a whole number, got 4.5 (number)"),
     "other events": ('events = "exact"', 'events = "about"', "path.events: expected 'exact'"),
     "a list for a table": (
         'path = { steps = 4, events = "exact" }',
