@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 from contactqp.elements.obstacle import RELATIVE_STEP, Obstacle, Plane, tangent_frames
 from contactqp.elements.pairing import paired, unknowns_of_surfaces
 from contactqp.elements.round_obstacle import Circle, Cylinder, Paraboloid, Sphere
-from contactqp.elements.scalars import real_array, real_number, real_vector, unit_vector
+from contactqp.elements.scalars import real_number, real_vector, unit_vector
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import EPS, Array, Index, Vector, computes
-from contactqp.model.problem_data import ReadOnly, is_whole, read_only, read_shaped
+from contactqp.model.problem_data import ReadOnly, is_whole, read_array, read_only, read_shaped
 
 
 @runtime_checkable
@@ -302,7 +302,7 @@ class ObstacleContact(ReadOnly):
 
     def positions(self, displacement: Vector) -> Vector:
         """Return the current positions of the nodes, (m, d) [length]."""
-        u = real_array("displacement", displacement)
+        u = read_array("displacement", displacement)
         if u.ndim != 1 or len(u) < (self.dimension or 0):
             raise InvalidProblem(f"displacement: expected the {self.dimension} unknowns, got shape {u.shape}")
         return np.asarray(self.points + u[self.unknowns])
@@ -397,7 +397,7 @@ class ContactGroup:
         return np.concatenate([part.positions(displacement) for part in self.parts])
 
     def _split(self, name: str, values: Vector) -> list[Vector]:
-        found = real_array(name, values)
+        found = read_array(name, values)
         if len(np.atleast_1d(found)) != self.contacts or not found.ndim:
             raise InvalidProblem(f"{name}: expected one for each of {self.contacts} contacts, got {shown(values)}")
         return np.split(found, self._ends)

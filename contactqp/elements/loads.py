@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactqp.elements.material import measure
 from contactqp.elements.reference_elements import Block, Geometry, at_rule, sum_at_nodes
-from contactqp.elements.scalars import Number, Numbers, keep_own, real_array, square_root, squared_length
+from contactqp.elements.scalars import Number, Numbers, keep_own, square_root, squared_length
 from contactqp.elements.solid import Body, Membrane, assemble, pattern
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index, Vector
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly, read_array
 
 Field = ArrayLike | Callable[[Array], ArrayLike]
 
@@ -255,7 +255,7 @@ def field_values(what: str, value: Field, positions: Vector, shape: tuple[int, .
     """
     points = positions.reshape(-1, positions.shape[-1])
     expected = (len(points), *shape) if callable(value) else shape
-    found = real_array(what, value(points) if callable(value) else value)
+    found = read_array(what, value(points) if callable(value) else value)
     if found.shape != expected:
         raise InvalidProblem(f"{what}: expected a value of shape {expected}, got {found.shape}")
     if not np.all(np.isfinite(found)):

@@ -22,11 +22,10 @@ from contactqp.elements.reference_elements import (
     facet_keys,
     find,
 )
-from contactqp.elements.scalars import real_array
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import EPS, Array, Index
-from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 Points = Array
 # An element whose Jacobian falls below this part of its largest at a checked point is checked at more points.
@@ -62,7 +61,7 @@ class Mesh(ReadOnly):
     sides: Mapping[str, Index] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", read_only(real_array("mesh: points", self.points)))
+        object.__setattr__(self, "points", read_only(read_array("mesh: points", self.points)))
         check_mesh(self.points, self.blocks)
         object.__setattr__(self, "node_sets", self._sets(self.node_sets))
         object.__setattr__(self, "sides", self._checked(self.sides))
@@ -153,7 +152,7 @@ class Mesh(ReadOnly):
         InvalidProblem
             Not d finite coordinates.
         """
-        x = real_array("point", point)
+        x = read_array("point", point)
         if x.shape != (self.dimension,) or not np.all(np.isfinite(x)):
             raise InvalidProblem(f"point: expected {self.dimension} finite coordinates, got {shown(x.tolist())}")
         with np.errstate(over="ignore"):
@@ -175,7 +174,7 @@ class Mesh(ReadOnly):
         >>> turned.points.min(axis=0).tolist()
         [-2.0, -1.0]
         """
-        return Mesh(real_array("mesh: mapped points", map_points(self.points)), self.blocks, self.node_sets, self.sides)
+        return Mesh(read_array("mesh: mapped points", map_points(self.points)), self.blocks, self.node_sets, self.sides)
 
     def with_sides(self, sides: Mapping[str, Index]) -> Mesh:
         """Return the mesh with these sides, (element, local facet) each, besides those it has; each facet counts
@@ -274,7 +273,7 @@ def mesh_from_arrays(
     sets = {
         name: read_only(read_whole(f"node set {name!r}", nodes).ravel()) for name, nodes in (node_sets or {}).items()
     }
-    mesh = Mesh(real_array("mesh: points", points), blocks, sets)
+    mesh = Mesh(read_array("mesh: points", points), blocks, sets)
     return mesh.with_sides(
         {name: _side(mesh, name, read_whole(f"side {name!r}", facets)) for name, facets in (sides or {}).items()}
     )

@@ -47,11 +47,10 @@ import scipy
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import KINDS, FacetKind, Surface, diameters, kind_of, normal_vectors, tangent_vectors
 from contactqp.errors import InvalidProblem
 from contactqp.model.arrays import EPS, Array, Index, Mask, Vector
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly, read_array
 
 # Per direction: exact for the shape functions on facets with straight edges, 1e-6 or better on curved ones.
 GAUSS_POINTS = 5
@@ -272,7 +271,7 @@ class NodalPressure(ReadOnly):
         An unknown force, NaN, is left out with its part of the area, and the value at its node is NaN, as is a value
         whose functions have no known node. Beside it D is not used.
         """
-        given = real_array("force", force)
+        given = read_array("force", force)
         finite = np.isfinite(given)
         area = self.collected.T @ np.where(finite, self.integral, 0.0)
         least = abs(self.collected.T) @ np.where(finite, abs(self.integral), 0.0)

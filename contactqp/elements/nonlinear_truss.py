@@ -16,11 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from contactqp.elements.scalars import real_array, real_vector
+from contactqp.elements.scalars import real_vector
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checks, read_whole
 from contactqp.model.arrays import Array, computes
-from contactqp.model.problem_data import ReadOnly, read_only
+from contactqp.model.problem_data import ReadOnly, read_array, read_only
 
 # How the area follows the length L: A_n / A_0 for a stretch L / L0.
 VOLUMES = ("isochoric", "constant area")
@@ -200,7 +200,7 @@ class NonlinearTruss(ReadOnly):
     law: str | BarLaw = "green"
 
     def __post_init__(self) -> None:
-        nodes = real_array("truss nodes", self.nodes)
+        nodes = read_array("truss nodes", self.nodes)
         if nodes.ndim != 2 or nodes.shape[1] not in (2, 3) or not np.all(np.isfinite(nodes)):
             raise InvalidProblem(f"truss nodes: expected finite numbers of shape (N, 2) or (N, 3), got {nodes.shape}")
         bars = read_whole("truss bars", self.bars)
@@ -330,7 +330,7 @@ class NonlinearTruss(ReadOnly):
 
 
 def _per_bar(name: str, value: ArrayLike, count: int) -> Array:
-    values = real_array(f"truss {name}", value)
+    values = read_array(f"truss {name}", value)
     if values.shape not in ((), (count,)):
         raise InvalidProblem(f"truss {name}: expected one number or shape ({count},), got {values.shape}")
     if not (np.all(np.isfinite(values)) and np.all(values > 0)):

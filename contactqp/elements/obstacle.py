@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from contactqp.elements.scalars import Number, Numbers, keep_own, positive_number, real_array, unit_vector
+from contactqp.elements.scalars import Number, Numbers, keep_own, positive_number, unit_vector
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
-from contactqp.model.problem_data import ReadOnly, is_whole
+from contactqp.model.problem_data import ReadOnly, is_whole, read_array
 
 # The step at which truncation (step^2) and rounding (eps / step) of a central difference are equal.
 RELATIVE_STEP = float(np.cbrt(EPS))
@@ -48,7 +48,7 @@ class Plane(ReadOnly):
     normal: Any
 
     def __post_init__(self) -> None:
-        point, normal = (real_array(f"plane {what}", getattr(self, what)) for what in ("point", "normal"))
+        point, normal = (read_array(f"plane {what}", getattr(self, what)) for what in ("point", "normal"))
         if point.shape != normal.shape or point.shape not in ((1,), (2,), (3,)):
             raise InvalidProblem(
                 f"plane: expected a point and a normal of one, two or three components, got shapes "
@@ -84,7 +84,7 @@ def points_near(obstacle: Obstacle, points: Any) -> Numbers:
 
     Raises InvalidProblem: another shape, or no real numbers.
     """
-    x = real_array("points", points)
+    x = read_array("points", points)
     if x.ndim != 2 or x.shape[1] != obstacle.dimension:
         raise InvalidProblem(f"points: expected shape (p, {obstacle.dimension}) as the obstacle has it, got {x.shape}")
     exact = np.asarray(points)
@@ -207,7 +207,7 @@ class SignedDistance:
 
 
 def _values(what: str, values: Any, x: Array, shape: tuple[int, ...]) -> Array:
-    got = real_array(f"signed distance: {what}", values)
+    got = read_array(f"signed distance: {what}", values)
     if got.shape != shape:
         raise InvalidProblem(
             f"signed distance: {what} of points of shape {x.shape}: expected shape {shape}, got {got.shape}"

@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 
 from contactqp.elements.nodal_pressure import NodalPressure, nodal_pressure, tributary_areas
 from contactqp.elements.obstacle import Obstacle, Plane, points_near, tangent_frames
-from contactqp.elements.scalars import real_array
 from contactqp.elements.surface import Surface, check_surface, middle_normals
 from contactqp.errors import InvalidProblem, StartWarning, counted, shown, warn
 from contactqp.model.arguments import checked, checks, read_whole
 from contactqp.model.arrays import Array, Index, computes, own_floating_point
-from contactqp.model.problem_data import ReadOnly, is_whole
+from contactqp.model.problem_data import ReadOnly, is_whole, read_array
 from contactqp.model.summary import number
 
 # The largest overlap of an interference fit relative to the size of the body.
@@ -144,7 +143,7 @@ class Pairing(ReadOnly):
         InvalidProblem
             Bare points have no area; not one force for each contact.
         """
-        force = real_array("normal_force", normal_force)
+        force = read_array("normal_force", normal_force)
         pressure = self.per_area(force)
         return pressure if np.any(force < 0) else np.maximum(pressure, 0.0)
 
@@ -157,7 +156,7 @@ class Pairing(ReadOnly):
         InvalidProblem
             Bare points have no area; not one force for each contact.
         """
-        given = real_array("normal_force", force)
+        given = read_array("normal_force", force)
         if self.projection is None:
             raise InvalidProblem("pressure: points have no area: expected a pairing of a Surface")
         if given.shape != self.gap.shape:
@@ -271,10 +270,10 @@ def _pair_points(
     n: int,
     nodes: Index,
 ) -> Pairing:
-    outward = real_array("obstacle: normals", obstacle.normals(x))
+    outward = read_array("obstacle: normals", obstacle.normals(x))
     contact = np.arange(len(x))
     E_N, E_T = contact_rows(contact, np.ones(len(x)), columns, outward, tangent_frames(outward), (len(x), n))
-    gap = real_array("obstacle: distances", obstacle.distance(x))
+    gap = read_array("obstacle: distances", obstacle.distance(x))
     return Pairing(E_N, gap, E_T, nodes, x, outward, np.array([], dtype=np.int64))
 
 
@@ -330,12 +329,12 @@ def pair_scalar(
     >>> pairing.normal.toarray().tolist(), pairing.gap.tolist(), pairing.unpaired.tolist()
     ([[-1.0, 0.0]], [-0.5], [1])
     """
-    x = real_array("points", points)
+    x = read_array("points", points)
     if x.ndim != 2 or not np.all(np.isfinite(x)):
         raise InvalidProblem(f"points: expected finite numbers of shape (p, d), got shape {x.shape}")
     sign = 1.0 if side == "above" else -1.0
     given = obstacle_height(x) if callable(obstacle_height) else obstacle_height
-    height = real_array("obstacle_height", given)
+    height = read_array("obstacle_height", given)
     if height.shape != (len(x),):
         raise InvalidProblem(f"obstacle_height: expected shape ({len(x)},), got {height.shape}")
     wrong = np.flatnonzero(np.isnan(height) | (height == sign * np.inf))

@@ -12,12 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from contactqp.elements.obstacle import points_near
-from contactqp.elements.scalars import keep_own, positive_number, real_array, unit_vector
+from contactqp.elements.scalars import keep_own, positive_number, unit_vector
 from contactqp.errors import InvalidProblem, shown
 from contactqp.linalg.measures import lengths
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import EPS, Array, computes
-from contactqp.model.problem_data import ReadOnly
+from contactqp.model.problem_data import ReadOnly, read_array
 
 # Closer to the centre than this part of the radius the normal is not defined.
 CENTRE = 1e-9
@@ -157,7 +157,7 @@ class Cylinder(ReadOnly):
 
 
 def _check(name: str, what: str, vector: Any, dimension: int) -> None:
-    read = real_array(f"{name} {what}", vector)
+    read = read_array(f"{name} {what}", vector)
     if read.shape != (dimension,) or not np.all(np.isfinite(read)):
         raise InvalidProblem(f"{name} {what}: expected {dimension} finite components, got {shown(vector)}")
 
@@ -212,7 +212,7 @@ class Paraboloid(ReadOnly):
     measure: Measure = "axis"
 
     def __post_init__(self) -> None:
-        apex, axis = (real_array(f"paraboloid {what}", getattr(self, what)) for what in ("apex", "axis"))
+        apex, axis = (read_array(f"paraboloid {what}", getattr(self, what)) for what in ("apex", "axis"))
         sizes = apex.shape, axis.shape
         if sizes not in (((2,), (2,)), ((3,), (3,))):
             raise InvalidProblem(f"paraboloid: expected an apex and an axis of two or three components, got {sizes}")

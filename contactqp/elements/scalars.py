@@ -18,20 +18,6 @@ from contactqp.model.arrays import Array, Index, Mask
 from contactqp.model.problem_data import read_array
 
 
-def real_array(what: str, value: Any) -> Array:
-    """Return a copy of real numbers as an array of floats; fractions become floats.
-
-    Raises
-    ------
-    InvalidProblem
-        Rows of different lengths, masked arrays, or entries that are no real numbers; `what` names them.
-
-    >>> real_array("points", [[0, 1], [2, 3]]).tolist()
-    [[0.0, 1.0], [2.0, 3.0]]
-    """
-    return read_array(what, value)
-
-
 def keep_own(holder: Any, *names: str) -> None:
     """Replace attributes of a frozen object, an array by a read-only copy, a list by a tuple, so that nobody else can
     change them.
@@ -49,7 +35,7 @@ def real_vector(what: str, value: Any, size: int) -> Array:
 
     Raises InvalidProblem: another shape, or no real numbers; `what` names them.
     """
-    read = real_array(what, value)
+    read = read_array(what, value)
     if read.shape != (size,):
         raise InvalidProblem(f"{what}: expected shape ({size},), got {read.shape}")
     return read
@@ -66,7 +52,7 @@ def real_number(what: str, value: Any) -> float:
     >>> real_number("radius", 2)
     2.0
     """
-    number = real_array(what, np.nan if value is None else value)
+    number = read_array(what, np.nan if value is None else value)
     if number.ndim or not math.isfinite(number):
         raise InvalidProblem(f"{what}: expected one finite number, got {value}")
     return float(number)
@@ -82,7 +68,7 @@ def positive_number(what: str, value: Any, kind: str) -> float:
     >>> positive_number("circle radius", 0.5, "length")
     0.5
     """
-    number = real_array(what, np.nan if value is None else value)
+    number = read_array(what, np.nan if value is None else value)
     if number.ndim or not (math.isfinite(number) and number > 0):
         raise InvalidProblem(f"{what}: expected a positive {kind}, got {value}")
     return float(number)

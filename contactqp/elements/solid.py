@@ -34,12 +34,12 @@ from contactqp.elements.reference_elements import (
     tetrahedron,
     triangle,
 )
-from contactqp.elements.scalars import moderate_number, real_array
+from contactqp.elements.scalars import moderate_number
 from contactqp.elements.surface import Surface
 from contactqp.errors import InvalidProblem
 from contactqp.model.arguments import checks
 from contactqp.model.arrays import Array, Index
-from contactqp.model.problem_data import ReadOnly, read_only, read_vector
+from contactqp.model.problem_data import ReadOnly, read_array, read_only, read_vector
 
 # The points at which stresses are most accurate: one for linear simplices, else the Gauss points that integrate a
 # linear stress field (Barlow 1976). Stresses are extrapolated from them to the nodes by linear shape functions.
@@ -247,7 +247,7 @@ def von_mises(stress: ArrayLike) -> Array:
     >>> von_mises([[2.0, 0.0, 0.0, 0.0, 0.0, 0.0], [5.0, 5.0, 5.0, 0.0, 0.0, 0.0]]).tolist()
     [2.0, 0.0]
     """
-    xx, yy, zz, xy, yz, zx = np.moveaxis(real_array("stress", stress), -1, 0)
+    xx, yy, zz, xy, yz, zx = np.moveaxis(read_array("stress", stress), -1, 0)
     squares = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * (xy**2 + yz**2 + zx**2)
     return np.asarray(np.sqrt(squares))
 
@@ -276,7 +276,7 @@ def _continuation(kind: Reference) -> Array:
 
 
 def _displacement(body: Body, displacement: ArrayLike) -> Array:
-    u = real_array(f"{body.name}: displacement", displacement)
+    u = read_array(f"{body.name}: displacement", displacement)
     if u.shape != (body.size,):
         raise InvalidProblem(f"{body.name}: expected a displacement of shape ({body.size},), got {u.shape}")
     return u

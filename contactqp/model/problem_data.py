@@ -82,9 +82,10 @@ class ReadOnly:
 
 
 def read_array(name: str, value: Any) -> Array:
-    """Return a copy of real numbers of any shape, NaN included.
+    """Return a copy of real numbers of any shape, NaN included, as floats; fractions become floats.
 
-    Raises InvalidProblem: words, complex numbers, dates, objects that are no real numbers, masked arrays.
+    Raises InvalidProblem: rows of different lengths, words, complex numbers, dates, other objects that are no real
+    numbers, masked arrays; `name` stands first in the message.
     """
     refuse_masked(name, value)
     try:
@@ -206,8 +207,11 @@ def _finite_vector(name: str, vector: Array, size: int) -> Vector:
     return read_only(vector)
 
 
-def _sparse(name: str, value: Any) -> Any:
-    """Return a canonical float64 CSR copy: duplicates summed, indices sorted, explicit zeros dropped."""
+def read_matrix(name: str, value: Any) -> Any:
+    """Return a copy of a finite matrix as a float64 CSR array: duplicates summed, indices sorted, zeros dropped.
+
+    Raises InvalidProblem: not a matrix of finite real numbers; `name` stands first in the message.
+    """
     if not sp.issparse(value):
         return _rows_of(name, read_array(name, value))
     if value.ndim != 2:
@@ -252,7 +256,7 @@ def rows_of_dense(dense: Array, kind: Any) -> Any:
 
 def read_rows(name: str, value: Any, n: int) -> Any:
     if sp.issparse(value):
-        rows = _sparse(name, value)
+        rows = read_matrix(name, value)
     else:
         given = value if isinstance(value, np.ndarray) and not value.size else read_array(name, value)
         if not given.size:
@@ -304,7 +308,7 @@ def read_stiffness(value: Any, motions: ArrayLike | None = None) -> tuple[Matrix
     if dense and (definite := _definite(value)) is not None:
         read_motions(motions, len(definite))
         return read_only(definite), 0.0, 0.0
-    K = _sparse("stiffness", value)
+    K = read_matrix("stiffness", value)
     n = K.shape[0]
     if K.shape != (n, n) or n == 0:
         raise InvalidProblem(f"stiffness: expected a square matrix of one row at least, got shape {K.shape}")
@@ -477,11 +481,6 @@ def read_coefficient(friction: ArrayLike, m: int) -> Vector:
         i = int(np.argmin(coefficient))
         raise InvalidProblem(f"friction: expected a coefficient >= 0, got {coefficient[i]:.6g} at contact {i}")
     return coefficient
-
-
-def read_matrix(name: str, value: Any) -> Any:
-    """Return a finite matrix in CSR form, duplicates summed."""
-    return _sparse(name, value)
 
 
 def read_motions(value: ArrayLike | None, n: int) -> Array | None:
