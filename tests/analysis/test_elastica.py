@@ -191,6 +191,33 @@ def test_a_force_that_jumps_or_does_not_belong_to_its_tangent_is_no_rounding(bod
         cq.large_deformation(body, [[0.5]], steps=1, max_iter=8)
 
 
+class RoundedBar(Spring):
+    """A bar of length 1 whose strain is formed as (1 + u) - 1, in steps of 2e-16."""
+
+    def energy(self, u: np.ndarray) -> float:
+        return float(self.slope / 2 * ((1.0 + u[0]) - 1.0) ** 2)
+
+    def internal_force(self, u: np.ndarray) -> np.ndarray:
+        return self.slope * ((1.0 + u) - 1.0)
+
+    def tangent(self, u: np.ndarray) -> sp.csc_array:  # noqa: ARG002
+        return sp.csc_array([[self.slope]])
+
+
+@pytest.mark.parametrize(("stiffness", "load"), [(1e6, 1.7), (1e6, 1e-2), (31554.57413051647, 0.13370360718792781)])
+@pytest.mark.parametrize("wall", [False, True])
+def test_a_strain_that_is_rounded_is_balanced_as_far_as_it_can_be(stiffness: float, load: float, wall: bool) -> None:
+    """The energy is rounded as the strain is: that it does not fall along a step says no more than the force does."""
+    free = load / stiffness
+    contact = cq.ObstacleContact([[0.0]], cq.Plane([free / 2], [-1.0])) if wall else None
+    last = cq.large_deformation(RoundedBar(tangent=stiffness), [[load]], contact, steps=5)[-1]
+    assert last.certificate.passed
+    rounding = 4 * 2.2e-16
+    np.testing.assert_allclose(last.displacement, free / 2 if wall else free, rtol=0, atol=rounding)
+    if wall:
+        np.testing.assert_allclose(last.normal_force, load / 2, rtol=0, atol=rounding * stiffness)
+
+
 @pytest.mark.slow
 def test_a_tip_that_lands_and_sticks_does_so_where_it_lands_whatever_the_steps() -> None:
     """Its cantilever is bent onto a floor. Where the tip lands no force acts, so that friction keeps it without any:

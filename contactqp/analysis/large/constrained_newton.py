@@ -274,7 +274,8 @@ def _searched(
                 return fraction, new, reason
             if fraction == 1 and not step.shift:
                 residual = _imbalance_after(loaded, now, new, K, target, settings, step)
-                if residual.nothing or residual.size <= CONTRACTION * before.size:
+                falls = residual.nothing or residual.size <= CONTRACTION * before.size
+                if falls or _rounding(loaded, now, K, target, step, before):
                     return fraction, new, reason
             reason = "the energy does not fall"
         fraction /= 2
