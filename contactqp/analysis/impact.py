@@ -25,7 +25,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_number, read_vector, refuse_not_positive
 from contactqp.model.solution import Solution
 from contactqp.solving.methods import find as find_method
-from contactqp.solving.methods import meant_option, registered_name, takes
+from contactqp.solving.methods import meant_option, registered_name, takes, within_time_of
 
 # Arguments of `impact` in addition to the options of a method.
 OWN_ARGUMENTS = ("duration", "time_step", "scheme", "load", "theta", "restitution", "penalty", "start_time")
@@ -166,7 +166,7 @@ def impact(
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
     M = _mass(entry, read_mass(mass, n), problem)
     body, loads = SchemeData(problem, M, float(time_step)), _loads(problem, load)
-    with one_blas_thread(problem):
+    with one_blas_thread(problem), within_time_of(options):
         run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
         if "theta" in entry.knobs:  # its law is one of velocities
             _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)

@@ -19,7 +19,7 @@ from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import Vector, own_floating_point
 from contactqp.model.problem_data import is_number, is_whole, read_coefficient, read_rows, read_vector
-from contactqp.solving.methods import find, registered_name
+from contactqp.solving.methods import find, registered_name, within_time_of
 
 # The path controls, and their specific arguments.
 CONTROLS: dict[str, tuple[str, ...]] = {
@@ -175,7 +175,8 @@ def large_deformation(
     for name in (name for name, value in given.items() if value is not None and name not in CONTROLS[control]):
         raise InvalidProblem(f"{name}: {control!r} control has none, got {given[name]!r}")
     if control == "load":
-        return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
+        with within_time_of(options):
+            return LoadControl(loaded, program, settings).follow(begin, _times(begin, program.end, int(steps)))
     if method != "active-set" or loaded.frictional:
         what = "with friction" if loaded.frictional else f"with {method!r}"
         raise Unsupported(f"large_deformation: control={control!r} {what}: it goes through unstable equilibria")
@@ -185,10 +186,12 @@ def large_deformation(
         n = loaded.dimension
         if not is_whole(controlled) or not 0 <= controlled < n:
             raise InvalidProblem(f"controlled: expected a place from 0 to {n - 1}, got {shown(controlled)}")
-        path = PathControl(loaded, program, settings)
-        return path.follow_unknown(begin, int(steps), int(controlled), real_number("target", target))
+        end = real_number("target", target)
+        with within_time_of(options):
+            return PathControl(loaded, program, settings).follow_unknown(begin, int(steps), int(controlled), end)
     radius = None if arc_length is None else positive_number("arc_length", arc_length, "length")
-    return PathControl(loaded, program, settings).follow_arc(begin, int(steps), radius)
+    with within_time_of(options):
+        return PathControl(loaded, program, settings).follow_arc(begin, int(steps), radius)
 
 
 def _loaded(body: Deformable, contact: ContactGeometry | None, tie: Any, friction: ArrayLike | None) -> LoadedBody:

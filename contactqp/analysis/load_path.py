@@ -29,7 +29,7 @@ from contactqp.model.arrays import Vector, one_blas_thread, own_floating_point, 
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole
 from contactqp.model.solution import Candidate, Solution
-from contactqp.solving.methods import find, registered_name
+from contactqp.solving.methods import find, registered_name, within_time_of
 from contactqp.solving.solve import begin, solve
 
 DEFAULT_STEPS = 100
@@ -134,7 +134,7 @@ def follow_path(
             raise
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
-    with problem.lock, one_blas_thread(problem):
+    with problem.lock, one_blas_thread(problem), within_time_of(options):
         if problem.frictional:
             chosen = find(method)
             if chosen.springs is not None:

@@ -75,3 +75,21 @@ def test_newton_steps_of_large_deformations_are_taken_in_time(monkeypatch: pytes
         monkeypatch.setattr(module, "refuse_late", late_at(2))
     with pytest.raises(cq.NotConverged, match="before the next step of Newton's method"):
         cq.run(scene)
+
+
+@pytest.mark.parametrize("name", ["path", "exact path", "friction", "motion"])
+def test_a_time_limit_is_that_of_the_call_and_not_of_each_step(name: str) -> None:
+    """Each of very many steps is far within the limit, and all of them together far beyond."""
+    limit = {"time_limit": 0.1}
+    back_and_forth = [sign * BARS.load for sign in (1.0, -1.0)] * 2_000
+    run = {
+        "path": lambda: cq.follow_path(BARS, [BARS.load], steps=300_000, **limit),
+        "exact path": lambda: cq.follow_path(BARS, back_and_forth, events="exact", **limit),
+        "friction": lambda: cq.follow_path(ROUGH, [ROUGH.load], steps=300_000, **limit),
+        "motion": lambda: cq.impact(BARS, np.eye(2), np.zeros(2), np.array([1.0, 0.0]), 30.0, 1e-4, **limit),
+    }[name]
+    with pytest.raises(cq.NotConverged, match=r"stopped at the time limit of 0\.1 s") as caught:
+        run()
+    assert len(caught.value.history) < 40_000
+    with pytest.raises(cq.InvalidProblem, match="time_limit"):
+        cq.follow_path(BARS, [BARS.load], time_limit=-1.0)

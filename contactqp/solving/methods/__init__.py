@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from contactqp.errors import BackendMissing, InvalidProblem, Unsupported, free_memory, shown
 from contactqp.linalg.iteration import constraints_are_many
 from contactqp.linalg.runtime import MOST_OF_MEMORY
+from contactqp.model.arrays import within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import is_whole, refuse_not_positive
 from contactqp.model.solution import Candidate, Solution
@@ -186,6 +188,14 @@ def refuse_arguments(tolerance: Any, condense: Any, polish: Any, time_limit: Any
         raise InvalidProblem(f"condense: expected True, False or 'auto', got {shown(condense)}")
     if not isinstance(polish, bool):
         raise InvalidProblem(f"polish: expected True or False, got {shown(polish)}")
+
+
+def within_time_of(options: Mapping[str, Any]) -> AbstractContextManager[None]:
+    """Return the context of a call of many solutions, for which a `time_limit` among its options holds as a whole."""
+    limit = options.get("time_limit")
+    if limit is not None:
+        refuse_not_positive("time_limit", limit)
+    return within_time(limit)
 
 
 def warm_candidate(problem: ContactProblem, warm_start: Any) -> Candidate | None:
