@@ -60,6 +60,7 @@ from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
 from contactqp.linalg.sparse_saddle import (
     MET_TOGETHER,
+    SOLVED,
     WORTH_ANOTHER,
     ClosedState,
     Effort,
@@ -203,7 +204,7 @@ def _from_solution(
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
-    if state.length_residual <= MET_TOGETHER:
+    if state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED):
         return found, untold * root, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
     return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root, held.answer
