@@ -52,20 +52,14 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, by_last_closings, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
-from contactqp.linalg.sparse_saddle import (
-    MET_TOGETHER,
-    SOLVED,
-    WORTH_ANOTHER,
-    ClosedState,
-    Effort,
-    SparseSaddle,
-)
+from contactqp.linalg.sparse_saddle import MET_TOGETHER, SOLVED, WORTH_ANOTHER, ClosedState, Effort
 from contactqp.model.arrays import EPS, TINY, Array, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
@@ -120,26 +114,44 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))
     found, untold, solution = _from_solution(twin, start, state, scaling, definite=factor is not None)
-    if factor is None or factor.smallest_pivot < REGULAR or found.by_energy or found.force_error is None:
+    if found.force_error is None or (factor is not None and found.by_energy):
+        return found
+    change = extend(start.normal_force) - solution.normal_force, extend(start.tie_force) - solution.tie_force
+    pushed, tied = [], []
+    for push, held in ((solution.normal_force, solution.tie_force), change):
+        pushed.append(problem.normal.T @ (push.double() * scaling.force / scaling.contacts))
+        tied.append(problem.tie.T @ (held.double() * scaling.force / scaling.ties))
+    if factor is None:
+        return _compared_where_strained(problem, found, pushed, untold)
+    if factor.smallest_pivot < REGULAR:
         return found
     # If K is regular, forces are compared by the response of the untied bodies to them, with and without ties.
-    change = extend(start.normal_force) - solution.normal_force, extend(start.tie_force) - solution.tie_force
-    felt = []
-    for push, held in ((solution.normal_force, solution.tie_force), change):
-        pushed = problem.normal.T @ (push.double() * scaling.force / scaling.contacts)
-        tied = problem.tie.T @ (held.double() * scaling.force / scaling.ties)
-        felt.append((factor.response_norm(pushed), factor.response_norm(pushed + tied) if problem.ties else 0.0))
-    (size, whole), (missed, missed_by_all) = felt
-    error = max(_relative(missed + untold, size), _relative(missed_by_all + untold, whole if size > 0 else 0.0))
+    size, missed = (factor.response_norm(force) for force in pushed)
+    error = _relative(missed + untold, size)
+    if problem.ties:
+        whole, missed = (factor.response_norm(force + held) for force, held in zip(pushed, tied, strict=True))
+        error = max(error, _relative(missed + untold, whole if size > 0 else 0.0))
     alone = found.force_error if problem.ties else 0.0  # what nearly parallel ties share otherwise strains nothing
     ties = alone * (found.force_scale or 1.0), found.force_scale
     return replace(found, force_error=max(error, alone if size > 0 else 0.0), force_scale=size, ties=ties)
 
 
+def _compared_where_strained(problem: ContactProblem, found: Bounds, pushed: list[Vector], untold: float) -> Bounds:
+    """Return bounds with forces E'l (n,) compared also by what they strain, if few unknowns have no stiffness."""
+    bare = problem.diagonal == 0
+    if problem.ties or mostly_bare(problem) or not bare.any() or bare.all():
+        return found
+    stiffened = problem.replace(stiffness=with_added_diagonal(problem.stiffness_rows, np.where(bare, 1.0, 0.0)))
+    if (factor := stiffness_factor(stiffened)) is None:
+        return found
+    size, missed = (factor.response_norm(np.where(bare, 0.0, force)) for force in pushed)
+    error = _relative(missed + untold, size) if size > found.rounding else 0.0
+    return replace(found, force_error=max(found.force_error or 0.0, error))
+
+
 def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
     """Return the factors of the last saddle point of an equilibrated problem if they have the pattern of K."""
-    kept: dict[tuple[bytes, float], SparseSaddle] = problem._computed.sparse_saddle
-    return next((saddle.factors for saddle in kept.values()), None)
+    return next((saddle.factors for saddle in problem._computed.sparse_saddle.values()), None)
 
 
 def _from_solution(

@@ -398,7 +398,7 @@ def refined_by(
         left = None
     u, tie, force, stick = x.parted(*ends)
     friction = stick + force.spread(coefficients * directions)
-    return RefinedState(u, force, friction, tie, status, directions, correction, regular, system.redundant)
+    return RefinedState(u, force, friction, tie, status.copy(), directions, correction, regular, system.redundant)
 
 
 def answer_in(

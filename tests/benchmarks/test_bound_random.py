@@ -53,3 +53,12 @@ def test_a_bound_below_the_true_error_is_counted_and_one_far_above_is(reports: l
     assert any("below" in line for line in bound_random.failures([small]))
     large = replace(one, bounds=tuple(replace(known, bound=100 * known.largest) for known in one.bounds))
     assert any("in the median" in line for line in bound_random.failures([large]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 15])
+def test_forces_are_compared_by_what_they_strain_beside_few_unknowns_without_stiffness(seed: int) -> None:
+    reports = bound_random.judged(("paired_inequalities", seed, 40))
+    assert len(reports) == 40
+    assert any("force_error" in {one.figure for one in report.bounds} for report in reports)
+    assert bound_random.below(reports) == []
