@@ -145,6 +145,7 @@ def _compared_where_strained(problem: ContactProblem, found: Bounds, pushed: lis
     if (factor := stiffness_factor(stiffened)) is None:
         return found
     size, missed = (factor.response_norm(np.where(bare, 0.0, force)) for force in pushed)
+    untold = min(untold, missed)  # by the width of the energy's bounds, whose root is no measure of small differences
     error = _relative(missed + untold, size) if size > found.rounding else 0.0
     return replace(found, force_error=max(found.force_error or 0.0, error))
 
