@@ -406,7 +406,8 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     held = problem.stiffness_rows @ u.double() + problem.tie.T @ eta.double()
     du, _, size = step(extend(load.double() - held))
     if size <= ENOUGH * first:
-        saddle.contraction = max(saddle.contraction or 0.0, size / first, LEAST_CONTRACTION)
+        measured = max(saddle.contraction or 0.0, size / first, LEAST_CONTRACTION)
+        saddle.contraction = measured if saddle.regular else None
         return u + du, 2 * size + left
     last = first
     for _ in range(SWEEPS):

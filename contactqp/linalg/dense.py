@@ -450,7 +450,8 @@ class SaddlePoint(Protocol):
     independent: Indices  # places among the closed contacts and ties, as many contacts as can be
     free: Array  # (p, q) orthonormal scaled motions that nothing resists
     free_coordinates: Array  # (r, q) of such in the rigid motions
-    contraction: float | None  # what refinement leaves of a correction, once it has been measured
+    regular: bool  # whether pivots are so large that refinement contracts alike under all loads
+    contraction: float | None  # what refinement leaves of a correction, once it has been measured, if regular
     corrected_motions: Array | None  # (n, q) free ones, to a few eps at every unknown, once they have been asked for
 
     def solve(self, r: Array, e: Array, a: Array) -> tuple[Array, Array, Array]:

@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.dense import BALANCED, IDLE, Condensed, DenseCholesky, orthonormal
+from contactqp.linalg.dense import BALANCED, IDLE, REGULAR, Condensed, DenseCholesky, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.factorization import connected_parts, right_singular
 from contactqp.linalg.krylov import ConstrainedRows, Processes
@@ -402,6 +402,8 @@ class NullSpace:
         motions = condensation.rigid.motions[condensation.retained] / self._scale[:, None]
         self.free = _rigid_again(motions, orthonormal(motions @ self.free_coordinates))
         self._hessian = self._factorise_hessian()
+        pivot = min((self._R.diagonal() ** 2).min(initial=1.0), self._hessian.smallest_pivot if self._hessian else 1.0)
+        self.regular = bool(pivot >= REGULAR)
 
     def _factorise_hessian(self) -> DenseCholesky | None:
         motion = self._N.T @ self.free

@@ -152,9 +152,10 @@ def _refined(
         rounding = ROUNDED_AWAY * whole
         if sweep == 1 and q is None:
             q = max(size / max(last, rounding) if last > 0 else 0.0, size_of.least_contraction)
-            saddle.contraction = q if last > rounding else None
+            saddle.contraction = q if last > rounding and saddle.regular else None
         elif sweep > 0 and q is not None and rounding < last < np.inf and 2 * size < last:
-            q = saddle.contraction = max(q, size / last)
+            q = max(q, size / last)
+            saddle.contraction = q if saddle.regular else None
         if sweep > 1 and size > 0.5 * last:
             break
         if q is not None and size_of.is_negligible(size * min(q * caution, 1.0), (u, force, tie), whole):

@@ -266,3 +266,32 @@ def test_a_unique_force_beside_redundant_rows_is_compared_on_sparse_systems(part
         found = energy_bounds(problem, Answer(u, right + change, None, held[:ties]))
         assert found.redundant
         assert force_bound_fails(found, 1e-6, 0.0) is bool(change[1])  # other forces of redundant rows are as right
+
+
+@pytest.mark.parametrize("asked", ["nothing", "the answer", "rest"])
+def test_a_verdict_does_not_depend_on_what_was_asked_before(asked: str) -> None:
+    """Two ties are 2^-23 apart; what refinement leaves there under one load says nothing of other loads."""
+    problem = cq.ContactProblem(
+        [
+            [1430.5, -66.5, -956.0, -304.0, -104.0],
+            [-66.5, 138.3203125, -1.1328125, -61.5, -9.1875],
+            [-956.0, -1.1328125, 1833.1328125, -304.0, -572.0],
+            [-304.0, -61.5, -304.0, 669.759765625, -0.259765625],
+            [-104.0, -9.1875, -572.0, -0.259765625, 685.447265625],
+        ],
+        [101.5 - 0.625 * 2.0**-23, -12.5810546875, -986.9580078125, 601.349853515625, 298.189208984375],
+        [[0, 0, 0, 1, 0], [0, 0, 0, 0, 1], [0, 1, 0, 0, 0], [0, -1, 0, 0, 0], [-1, 0, 0, 0, 0]],
+        [0.625, 0.75, 0.375, -0.125, 0.625],
+        tie=[[0, 0, 1.5, 1, 0.5], [1, 0.5, 1, -0.5, 1], [2.0**-23, 0, 1.5, 1, 0.5]],
+        tie_value=[-0.125, -0.875, -0.125 * (1 + 2.0**-23)],
+    )
+    u, force, tie = [-0.125, 0.125, -0.5, 0.625, 0.0], [1.0, 0.0, 0.0, 0.625, 0.0], [0.375, 0.625, -0.625]
+    left = problem.load - problem.stiffness @ np.array(u) - problem.normal.T @ force - problem.tie.T @ tie
+    assert not left.any(), "the answer is the exact one"
+    if asked == "the answer":
+        assert cq.solve(problem).normal_force == pytest.approx(force, abs=1e-9)
+    if asked == "rest":
+        assert not cq.certify(problem, np.zeros(5), np.zeros(5), tie_force=np.zeros(3)).passed
+    found = cq.certify(problem, u, force, tie_force=tie)
+    assert found.passed
+    assert found.proven
