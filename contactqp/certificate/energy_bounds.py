@@ -109,7 +109,9 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
         return no_bounds("the numbers of the problem leave the range of doubles")
     start = scaling.scale(replace(answer, friction_force=None))
     finished = seconds_of_unfinished() is None
-    state = settled(twin, start, Effort()) if finished else solved_from(twin, start, Effort(), claimed=False)
+    moved = abs(start.displacement).max(initial=0.0) > least_length(twin)  # else by rounding, which opens no contact
+    near = start if moved else replace(start, displacement=np.zeros(twin.dimension))
+    state = settled(twin, near, Effort()) if finished else solved_from(twin, near, Effort(), claimed=False)
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))

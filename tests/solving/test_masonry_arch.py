@@ -41,3 +41,17 @@ def test_the_least_thickness_of_a_semicircular_arch_is_milankovitchs(radius: flo
     assert springing == pytest.approx(weight / 2, rel=1e-9)
     with pytest.raises(cq.NoEquilibrium):
         cq.solve(arch(0.1073, radius=radius, weight=weight))
+
+
+def test_displacements_by_rounding_open_no_joint_of_an_arch_at_rest() -> None:
+    """Forces of the arch are shared; at a vertex, as beside contacts opened by 1e-45, they would seem to be unique."""
+    thick = arch(0.3)
+    for k, step in enumerate(cq.follow_path(thick, [thick.load], steps=4)):
+        assert step.certificate.proven
+        assert step.normal_force[[0, 1, -2, -1]].sum() == pytest.approx(0.25 * k, rel=1e-9)  # the weight
+    solved = cq.solve(thick)
+    for moved in (0.0, 1e-60, 1e-45):
+        found = cq.certify(thick, np.full(30, moved), solved.normal_force, tie_force=solved.tie_force)
+        assert found.passed, moved
+    pulled = solved.normal_force - 0.01
+    assert not cq.certify(thick, np.zeros(30), pulled, tie_force=solved.tie_force).passed
