@@ -52,7 +52,7 @@ from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FIXED_BY_TIES, condensed_frictional_rows, contact_compliance
 from contactqp.linalg.dense import saddle_point
-from contactqp.linalg.extended import extend, extended_rows
+from contactqp.linalg.extended import FINE_EPS, extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, lengths, row_sizes
 from contactqp.linalg.measures import directions as directions_of
@@ -331,8 +331,10 @@ class _Comparison:
 
     def _last_correction(self, refined: RefinedState, moved: float) -> float:
         """Return the size of the last correction, whose displacement has the energy norm `moved` [root of energy]."""
-        pushed = self._bodies.response_norm(refined.last.normal_force, refined.last.friction_force)
-        return float(np.hypot(moved, pushed))
+        forces, last = (refined.normal_force.double(), refined.friction_force.double()), refined.last
+        rounding = FINE_EPS * max(float(abs(part).max(initial=0.0)) for part in forces)
+        normal, along = (np.where(abs(x) > rounding, x, 0.0) for x in (last.normal_force, last.friction_force))
+        return float(np.hypot(moved, self._bodies.response_norm(normal, along)))
 
     def _believed(self) -> Status:
         """Return the states (m,): closed where the force as a length exceeds the gap, slipping where slip exceeds room.

@@ -416,3 +416,22 @@ def test_forces_along_a_rigid_motion_have_no_size_but_that_of_the_strain(seed: i
     judged = cq.certify(problem, right.displacement, *forces, tolerance=1e-5, error_tolerance=1e-4)
     assert judged.passed
     assert judged.distance == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("beyond", [1.0001, 1.001, 1.023737627118644, 1.108479152542373])
+def test_a_rigid_ladder_is_compared_where_refinement_ends_in_rounding_of_its_forces(beyond: float) -> None:
+    """It leans at tan a >= (1 - mu_f mu_w) / (2 mu_f); without stiffness and lengths only forces have a size."""
+    floor, wall = 0.5, 0.2
+    angle = np.arctan((1 - floor * wall) / (2 * floor)) * beyond
+    c, s = np.cos(angle), np.sin(angle)
+    ladder = cq.ContactProblem(
+        np.zeros((3, 3)),
+        [0.0, -1.0, 0.0],
+        [[0.0, -1.0, c], [1.0, 0.0, -s]],
+        [0.0, 0.0],
+        tangent=[[1.0, 0.0, s], [0.0, 1.0, c]],
+        friction=[floor, wall],
+    )
+    found = cq.solve(ladder)
+    assert found.certificate.basis == "state"
+    assert not cq.certify(ladder, found.displacement, 1.001 * found.normal_force, found.friction_force).passed
