@@ -103,7 +103,7 @@ WRONG = {
         '{ of = "c", value = ["1 m/s", "0 m/s"] }',
         '{ of = "b", value = ["1 m/s", "2 m/s"] }, '
         '{ of = "rod", value = ["0 m/s", "0 m/s"], to = ["1 m/s", "-2 m/s"] }',
-        "motion.velocities[1] ('rod'): expected 2.0 m/s for 'b.y', as motion.velocities[0] states it, got -2.0 m/s",
+        "motion.velocities[1] ('rod'): expected 2.0 m/s for 'b.z', as motion.velocities[0] states it, got -2.0 m/s",
     ),
     "an end of a node": (
         'value = ["1 mm"] }',
