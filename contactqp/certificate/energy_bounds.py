@@ -235,10 +235,8 @@ def _missed_forces(
     """
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
     turned = (extend(answer.tie_force) - held.answer.tie_force).double()
-    missed, unknown = (
-        float(np.linalg.norm(np.concatenate([change, turned]))),
-        np.full(len(change) + len(turned), np.inf),
-    )
+    missed = float(np.linalg.norm(np.concatenate([change, turned])))
+    unknown = np.full(len(change) + len(turned), np.inf)
     errors = unknown, unknown[: len(change)], 0.0
     if unique or definite:
         errors = _force_errors(problem, held, unique)
