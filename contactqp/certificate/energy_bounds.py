@@ -75,8 +75,7 @@ MOVES_OTHERS = 1e-3  # a row that its own motion moves by one less this part dep
 MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
 AWAY = 1e6
-# An answer is accepted if it is this close to a solution up to such a conflict.
-CLOSE_BY = 1e-6
+CLOSE_BY = 1e-6  # an answer is accepted if it is this close to a solution up to such a conflict
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
@@ -219,10 +218,13 @@ def _from_solution(
         determined=BY_DISPLACEMENT if unique.displacement else BY_ENERGY,
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
-    if state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED):
+    # Forces of open contacts of a program are unknown: only rounding counts as no penetration.
+    passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
+    meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
+    if meets and not np.any(passed > SOLVED):
         return found, untold * root, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
-    return _of_conflict(found, f"{state.length_residual:.2g} of the largest length", near), untold * root, held.answer
+    return _of_conflict(found, np.max(passed, initial=state.length_residual), near), untold * root, held.answer
 
 
 def _missed_forces(
@@ -349,10 +351,11 @@ def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, missed: Vector
     return taken, rows.T @ solve(missed[:, None])[:, 0]
 
 
-def _of_conflict(found: Bounds, conflict: str, near: bool) -> Bounds:
-    """Return the remaining bounds if closed contacts and ties conflict by rounding."""
-    said = f"closed contacts and ties conflict by {conflict}: {DECIDED}"
-    beside = f"energy_bounds: those of the problem whose gaps and tie values are moved by {conflict}"
+def _of_conflict(found: Bounds, conflict: float, near: bool) -> Bounds:
+    """Return the remaining bounds if closed contacts and ties conflict by rounding, to a part of the largest length."""
+    by = f"by {conflict:.2g} of the largest length"
+    said = f"closed contacts and ties conflict {by}: {DECIDED}"
+    beside = f"energy_bounds: those of the problem whose gaps and tie values are moved {by}"
     none = no_bounds(said)
     return replace(
         none,

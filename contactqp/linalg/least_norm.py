@@ -44,12 +44,11 @@ PRESSED = 1e3
 FEW_DIGITS = 1e-18  # forces below this part of the largest may be rounding errors of refinement
 # The budgets of single changes from all starts, multiplied by unknowns and contacts, and by entries of K and the rows.
 SINGLE_CHANGES, SINGLE_ENTRIES = 600_000, 4_000_000
-# The budget of a dual active set for all its starts.
-DUAL_CHANGES = 1_500_000
+DUAL_CHANGES = 1_500_000  # the budget of a dual active set for all its starts
 # The most contacts that close without halving the largest penetration, as residuals may drive unbounded motions.
 IN_VAIN = 50
 # Contacts that close at last, and changes for each; penetrations of so many residuals of closed ones are no rounding.
-LAST_CLOSINGS, STANDS_OUT = 10, 1e3
+LAST_CLOSINGS, STANDS_OUT = 10, 1e2
 # Rates of forces below this, per unit force on the closing row, count as zero.
 FALLS = 1e-9
 
@@ -355,8 +354,9 @@ def by_last_closings(state: ClosedState, effort: Effort) -> ClosedState:
     Forces on rows that nearly depend on each other move these by 1e-21 of the largest length and less.
     """
     for _ in range(LAST_CLOSINGS):
-        gap, rounding = np.where(state.closed, 0.0, state.left.gap.double()), max(SOLVED, state.length_residual)
-        if not (state.holds and np.min(gap, initial=0.0) < -STANDS_OUT * rounding * state.length):
+        gap, left = np.where(state.closed, 0.0, state.left.gap.double()), state.length_residual
+        rounding, sign = max(SOLVED, left), max(SOLVED, STANDS_OUT * left) * state.length
+        if not (state.holds and np.min(gap, initial=0.0) < -sign):
             break
         after = _closing(state, int(np.argmin(gap)), iter(range(LAST_CLOSINGS)), effort)
         after = by_pivots(after, effort) if after is not None and after.length_residual > rounding else after

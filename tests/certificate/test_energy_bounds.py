@@ -377,7 +377,7 @@ def test_an_energy_that_is_more_than_nothing_is_judged_by_itself() -> None:
 def test_wide_bounds_beside_a_conflict_refuse() -> None:
     """Rows that conflict by rounding leave bounds of the energy beside, which tell a wrong answer all the same."""
     wide = Bounds(energy_bounds=(2586.0, 2897.0), energy_size=2742.0, by_energy=True)
-    assert list(energy_failures(_of_conflict(wide, "4.5e-19 of the largest length", near=True), 1e-9, 0.0))
+    assert list(energy_failures(_of_conflict(wide, 4.5e-19, near=True), 1e-9, 0.0))
 
 
 def test_bounds_of_the_energy_are_rounded_outward() -> None:
