@@ -24,7 +24,7 @@ from contactqp.model.solution import Answer, AnswerOf
 
 # The rounding of twice double precision, for numbers as they are added and multiplied here.
 FINE_EPS = 2.0**-104
-# Rows with more entries are summed separately, in pairs.
+# Inner products with more entries are summed in pairs.
 LONG = 2**9
 # The squared number of unknowns and rows up to which all matrices are stored as one dense array, as products with zeros
 # are cheaper than indexing.
@@ -161,24 +161,17 @@ class SparseRows:
         self.shape: tuple[int, int] = rows.shape
         lengths = rows.indptr[1:] - rows.indptr[:-1]
         width_class = np.ceil(np.log2(np.maximum(lengths, 1))).astype(int)
-        short = (lengths > 0) & (lengths <= LONG)
-        classes = np.flatnonzero(np.bincount(width_class[short]))
-        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & short)) for c in classes]
-        self._long = [
-            (i, rows.data[rows.indptr[i] : rows.indptr[i + 1]], rows.indices[rows.indptr[i] : rows.indptr[i + 1]])
-            for i in (lengths > LONG).nonzero()[0].tolist()
-        ]
+        filled = lengths > 0
+        classes = np.flatnonzero(np.bincount(width_class[filled]))
+        self._blocks = [_block(rows, np.flatnonzero((width_class == c) & filled)) for c in classes]
 
     def __matmul__(self, vector: Extended) -> Extended:
         doubles = not vector.lo.any()
-        if self._blocks and not self._long and len(self._blocks[0].members) == self.shape[0]:
+        if self._blocks and len(self._blocks[0].members) == self.shape[0]:
             return _holding(*two_sum(*_product(self._blocks[0], vector, doubles)))
         hi, lo = np.zeros(self.shape[0]), np.zeros(self.shape[0])
         for block in self._blocks:
             hi[block.members], lo[block.members] = two_sum(*_product(block, vector, doubles))
-        for i, value, column in self._long:
-            product, error = two_product(value, vector.hi[column])
-            hi[i], lo[i] = two_sum(*_added(product, error + value * vector.lo[column]))
         return _holding(hi, lo)
 
 
