@@ -26,6 +26,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from contactqp.linalg.dense import DenseCholesky
 from contactqp.model.arrays import TINY, Array, Vector
 
 
@@ -276,6 +277,43 @@ class AssembledRows:
         left = r.copy()
         left[self._columns] -= self._spread @ self.forces(r)
         return left
+
+
+# The number of rows up to which uncoupled unknowns are eliminated onto the multipliers by dense algebra.
+FEW_ROWS = 200
+
+
+def uncoupled(stiffness: Any, rows: Any, regularisation: float) -> Callable[[Vector], Vector] | None:
+    """Return a function that solves the regularised saddle point of a diagonal stiffness and few rows, else None.
+
+        [ D   R' ] [ u ]   [ f ]
+        [ R  -d  ] [ l ] = [ g ],      (R D^-1 R' + d) l = R D^-1 f - g,      u = D^-1 (f - R' l),      D = K + d
+
+    A sparse solver spends most of its time on an order of elimination there (Schur-complement method, Nocedal and
+    Wright 2006, section 16.2).
+
+    Parameters
+    ----------
+    stiffness : (n, n) sparse matrix, K
+    rows : (k, n) sparse matrix, R
+    regularisation : d, positive
+    """
+    (count, n), diagonal = rows.shape, stiffness.diagonal()
+    if count > FEW_ROWS or stiffness.nnz > n or not np.all(diagonal > 0):
+        return None
+    diagonal, across, factor = diagonal + regularisation, sp.csr_matrix(rows.T), None
+    if count:
+        schur = (rows @ sp.diags(1.0 / diagonal) @ across).toarray() + regularisation * np.eye(count)
+        factor = DenseCholesky((schur + schur.T) / 2)
+
+    def solve(right: Vector) -> Vector:
+        u: Vector = right[:n] / diagonal
+        if factor is None:
+            return u
+        pushed = factor.solve(rows @ u - right[n:])
+        return np.asarray(np.concatenate([u - (across @ pushed) / diagonal, pushed]))
+
+    return solve
 
 
 # The number of vectors of GMRES between restarts.

@@ -39,7 +39,7 @@ from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg.dense import LIFT, SUSPICIOUS_PIVOT, DenseCholesky, refuse_negative
 from contactqp.linalg.factorization import DIAGONAL_PIVOTS, MINIMUM_DEGREE, fill_reducing_order, forget_triangles
 from contactqp.linalg.pardiso import INDEFINITE, EliminationOrder, NotPositive, Pardiso, available
-from contactqp.linalg.runtime import silenced_output
+from contactqp.linalg.runtime import lapack, silenced_output
 from contactqp.model.arrays import RUNNING, Array, Indices, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -165,6 +165,9 @@ FEW = 4
 LARGE = 2000
 # The most operations of factors of a band with row exchanges (less than a second).
 OF_BAND = 1e9
+# The part of its entries from which on a matrix fills its factors, so that LAPACK's dense ones take less time, in the
+# place of SuperLU's (a twentieth of it, a fifth for a hundred unknowns), and of PARDISO's.
+NEARLY_DENSE = (0.05, 0.2)
 # The half bandwidth up to which LAPACK's band factors take a tenth of the time of a sparse solver, which mostly orders;
 # and the entries per row above which no band is searched.
 NARROW, ENTRIES_OF_NARROW = 16, 12
@@ -289,7 +292,8 @@ def same_matrix(one: Any, other: Any) -> bool:
 
 
 def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indices) -> Callable[[Vector], Vector]:
-    """Return a function that solves with a sparse matrix: by LAPACK where it is a narrow band, by PARDISO, by SuperLU.
+    """Return a function that solves with a sparse matrix: by LAPACK where it is nearly dense or a narrow
+    band, by PARDISO, by SuperLU.
 
     PARDISO is used where it is installed and pays.
 
@@ -304,6 +308,9 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
     """
     if not matrix.shape[0]:
         return np.copy
+    large = matrix.shape[0] > LARGE and available()
+    if matrix.nnz >= NEARLY_DENSE[large] * matrix.shape[0] ** 2:
+        return _dense_factors(matrix)
     if matrix.shape[0] > LARGE and not order.wide:
         band: Band | None = order.band if order.band is not None and order.band.fits(matrix) else None
         if band is None and matrix.nnz <= ENTRIES_OF_NARROW * matrix.shape[0]:
@@ -312,7 +319,7 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
         if band is not None and not order.wide:
             order.band = band
             return band.factorised(matrix)
-    if matrix.shape[0] > LARGE and available():
+    if large:
         try:
             return order.factorised(matrix, unknowns, kind).solve_all
         except NotPositive:
@@ -325,6 +332,17 @@ def factorised(matrix: Any, kind: int, order: EliminationOrder, unknowns: Indice
     except (RuntimeError, ValueError) as error:
         raise BackendFailed(f"superlu: {error}") from error
     return solve
+
+
+def _dense_factors(matrix: Any) -> Callable[[Vector], Vector]:
+    """Return a function that solves with a matrix by LAPACK's dense factors with row exchanges.
+
+    Raises BackendFailed: the matrix is singular.
+    """
+    factors, exchanges, singular = lapack().dgetrf(matrix.toarray(order="F"), overwrite_a=1)
+    if singular:
+        raise BackendFailed(f"lapack: pivot {singular} is zero")
+    return lambda right: np.asarray(lapack().dgetrs(factors, exchanges, right)[0])
 
 
 class Band:
@@ -456,40 +474,3 @@ class RankedSaddle:
         carried[self._order] = factor @ solve_triangular(triangle, self._Y.T @ (force - self._K @ u), trans=1)
         carried /= self._length
         return u, carried[: self._contacts], carried[self._contacts :], 1
-
-
-# The number of rows up to which uncoupled unknowns are eliminated onto the multipliers by dense algebra.
-FEW_ROWS = 200
-
-
-def uncoupled(stiffness: Any, rows: Any, regularisation: float) -> Callable[[Vector], Vector] | None:
-    """Return a function that solves the regularised saddle point of a diagonal stiffness and few rows, else None.
-
-        [ D   R' ] [ u ]   [ f ]
-        [ R  -d  ] [ l ] = [ g ],      (R D^-1 R' + d) l = R D^-1 f - g,      u = D^-1 (f - R' l),      D = K + d
-
-    A sparse solver spends most of its time on an order of elimination there (Schur-complement method, Nocedal and
-    Wright 2006, section 16.2).
-
-    Parameters
-    ----------
-    stiffness : (n, n) sparse matrix, K
-    rows : (k, n) sparse matrix, R
-    regularisation : d, positive
-    """
-    (count, n), diagonal = rows.shape, stiffness.diagonal()
-    if count > FEW_ROWS or stiffness.nnz > n or not np.all(diagonal > 0):
-        return None
-    diagonal, across, factor = diagonal + regularisation, sp.csr_matrix(rows.T), None
-    if count:
-        schur = (rows @ sp.diags(1.0 / diagonal) @ across).toarray() + regularisation * np.eye(count)
-        factor = DenseCholesky((schur + schur.T) / 2)
-
-    def solve(right: Vector) -> Vector:
-        u: Vector = right[:n] / diagonal
-        if factor is None:
-            return u
-        pushed = factor.solve(rows @ u - right[n:])
-        return np.asarray(np.concatenate([u - (across @ pushed) / diagonal, pushed]))
-
-    return solve

@@ -26,8 +26,9 @@ from contactqp.linalg.equilibration import least_length, rows_alone
 from contactqp.linalg.extended import Extended, ExtendedAnswer, Residuals, extended_rows, residuals_of
 from contactqp.linalg.factorization import with_added_diagonal
 from contactqp.linalg.influence import plain_residuals
+from contactqp.linalg.krylov import uncoupled
 from contactqp.linalg.measures import outer_forces, row_sizes
-from contactqp.linalg.schur import LARGE, OF_RANK, PivotedSaddle, RankedSaddle, factorised, uncoupled
+from contactqp.linalg.schur import LARGE, OF_RANK, PivotedSaddle, RankedSaddle, factorised
 from contactqp.model.arrays import TINY, Indices, Mask, Vector, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -36,8 +37,7 @@ from contactqp.model.problem import ContactProblem
 REGULARISATIONS = (1e-7, 1e-9, 1e-11, 1e-13)
 # For narrow bands, factorised with row exchanges, the last one is used directly if the first contracts too slowly.
 BETWEEN = REGULARISATIONS[1:-1]
-# Up to this part of unknowns fixed by closed contacts, it is cheaper to eliminate these with the others than to analyse
-# the remaining pattern.
+# Up to this part of unknowns fixed by closed contacts, eliminating these, too, is cheaper than another analysis.
 FEW_FIXED = 0.2
 # The residual at which no smaller d is tried, and the reduction that a smaller d must achieve.
 FINE, WORTH_ANOTHER = 1e-22, 0.1

@@ -381,6 +381,19 @@ def test_a_band_without_an_inverse_is_told_and_a_wide_matrix_is_left_to_sparse_s
     assert K @ solve(np.ones(side**2)) == pytest.approx(1.0, abs=1e-10)
 
 
+def test_a_nearly_dense_matrix_is_factorised_by_lapack(monkeypatch):
+    """SuperLU takes twenty times as long for dense rows of a few hundred unknowns."""
+    random, size = np.random.default_rng(4), 90
+    rows = random.integers(-9, 10, (size, size)).astype(float)
+    saddle = sp.bmat([[2.0**-20 * sp.identity(size), rows.T], [rows, -(2.0**-20) * sp.identity(size)]], format="csc")
+    wanted = random.integers(-9, 10, 2 * size).astype(float)
+    monkeypatch.setattr("scipy.sparse.linalg.splu", None)
+    solve = schur.factorised(saddle, pardiso.INDEFINITE, EliminationOrder(size), np.arange(size))
+    assert solve(saddle @ wanted) == pytest.approx(wanted, abs=1e-8)
+    with pytest.raises(BackendFailed, match="pivot"):
+        schur.factorised(sp.csc_matrix(np.ones((3, 3))), pardiso.INDEFINITE, EliminationOrder(3), np.arange(3))
+
+
 @pytest.mark.slow
 def test_unknowns_without_stiffness_may_be_retained():
     """PARDISO needs every entry of the diagonal; where rows were empty it had failed with an error of its own."""

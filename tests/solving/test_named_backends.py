@@ -11,8 +11,8 @@ import scipy.sparse as sp
 import contactqp as cq
 from contactqp.linalg import least_norm, sparse_saddle
 from contactqp.linalg.extended import ExtendedAnswer
+from contactqp.linalg.krylov import uncoupled
 from contactqp.linalg.least_norm import presses
-from contactqp.linalg.schur import uncoupled
 from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, solved_on
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods import Settings, find
