@@ -294,12 +294,15 @@ def null_space(matrix: Any) -> RigidMotions:
     """Return the null space of a positive semidefinite matrix, component by component of its graph."""
     graph = sp.csr_matrix(matrix)
     count, label = connected_parts(graph)
-    order = np.argsort(label, kind="stable")
+    order, diagonal = np.argsort(label, kind="stable"), graph.diagonal()
     bounds = np.searchsorted(label[order], np.arange(count + 1))
     columns, rows, values, found, softest = [], [], [], 0, 1.0
     for c in range(count):
         members = order[bounds[c] : bounds[c + 1]]
-        local = _null_space_of_component(graph[members][:, members])
+        alone = len(members) == 1
+        if alone and diagonal[members[0]] != 0:
+            continue
+        local = RigidMotions(np.ones((1, 1))) if alone else _null_space_of_component(graph[members][:, members])
         softest = min(softest, local.softest) if local.count else softest
         for column in local.motions.T:
             rows.append(members)
@@ -385,8 +388,6 @@ class _SoftPart:
 
 def _null_space_of_component(component: Any) -> RigidMotions:
     size = component.shape[0]
-    if size == 1:
-        return RigidMotions(np.ones((1, 1)) if component[0, 0] == 0 else np.zeros((1, 0)))
     # Scaling by powers of two does not round, so an exactly singular matrix stays singular.
     scale = 2.0 ** np.round(np.log2(inverse_root(component.diagonal())))
     scaled = sp.csr_matrix(sp.diags(scale) @ component @ sp.diags(scale))

@@ -328,8 +328,13 @@ def _orthonormal_by_body(motions: Array) -> Array:
     return np.asarray(coordinates)
 
 
-def _largest_entries(rows: Any) -> Vector:
-    return np.asarray(rows.max(axis=1).toarray() if sp.issparse(rows) else np.max(rows, axis=1)).ravel()
+def _largest_entries(rows: Any, bodies: Indices, of_motion: Indices) -> Array:
+    """Return the size of the largest entry of each row on the body of each motion (k, r)."""
+    moving, entries, place = np.unique(of_motion), sp.coo_matrix(rows), np.zeros(np.max(bodies) + 1, dtype=np.intp)
+    place[moving] = 1 + np.arange(len(moving))
+    largest = np.zeros((rows.shape[0], len(moving) + 1))
+    np.maximum.at(largest, (entries.row, place[bodies[entries.col]]), abs(entries.data))
+    return largest[:, place[of_motion]]
 
 
 def blocked_either_way(rows: Array) -> Array | None:
@@ -354,16 +359,15 @@ def blocked_either_way(rows: Array) -> Array | None:
 def unresisted(motions: Array, bodies: Indices, rows: Any) -> Array:
     """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist.
 
-    Rows may be sparse. The sizes of motions of different bodies depend on units and stiffness. So rows and bodies are
-    scaled by factors that bring the largest entry of a row on each body times the size of the motion near one, and
-    products are compared with that.
+    Rows may be sparse. The sizes of motions depend on units and stiffness, so rows and bodies are scaled to bring the
+    largest entry of a row on each body times the size of the motion near one, and products are compared with that.
     """
     coordinates = _orthonormal_by_body(motions)
     if not rows.shape[0] or not len(coordinates):
         return coordinates
     motions = motions @ coordinates
     of_motion = bodies[np.argmax(abs(motions), axis=0)]
-    felt = np.column_stack([_largest_entries(abs(rows[:, bodies == b])) for b in of_motion])
+    felt = _largest_entries(rows, bodies, of_motion)
     of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
     values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
     return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)

@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
+from contactqp.linalg import floating
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 
@@ -185,3 +186,18 @@ def test_free_motions_of_blocks_are_translations_along_axes_and_turns(bodies: in
     assert unit @ unit.T == pytest.approx(np.eye(3 * bodies), abs=1e-12)
     assert abs(directions[:, 2::3]).max() < 1e-12  # nothing leaves the floor
     assert abs(problem.stiffness_rows @ directions.T).max() < 1e-6 * problem.diagonal.max()
+
+
+def test_what_rows_feel_of_many_bodies_is_found_in_one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of four hundred bodies each had been cut out of the rows. The largest entries of a row on each of them count."""
+    rng = np.random.default_rng(5)
+    rows, bodies = sp.random(7, 12, 0.4, random_state=rng, format="csr"), rng.integers(0, 5, 12)
+    of_motion = np.array([3, 0, 3, 4])
+    found = floating._largest_entries(rows, bodies, of_motion)
+    for i, row in enumerate(abs(rows.toarray())):
+        assert found[i].tolist() == [max(row[bodies == body], default=0.0) for body in of_motion]
+    monkeypatch.setattr(sp.csr_matrix, "__getitem__", None)  # no body is cut out
+    motions, K = np.eye(4), sp.csr_matrix([[1.0, 0, 0, 0], [0, 2.0, -1.0, 0]])
+    left = floating.unresisted(motions, np.arange(4), K)
+    assert abs(K @ left).max() <= 1e-14
+    assert left.shape == (4, 2)
