@@ -35,8 +35,8 @@ from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extended_rows
 from contactqp.linalg.friction_states import refined_in
 from contactqp.linalg.measures import lengths
-from contactqp.linalg.refinement import CAUTION, INVISIBLE, ROUNDED_AWAY, answer_on
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
+from contactqp.linalg.refinement import CAUTION, ROUNDED_AWAY, answer_on
+from contactqp.model.arrays import EPS, INVISIBLE, TINY, Array, Indices, Mask, Vector
 from contactqp.model.coulomb import (
     OPEN,
     SLIP_BACK,

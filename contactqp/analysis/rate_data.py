@@ -13,8 +13,8 @@ from contactqp.certificate.critical_friction import critical_friction
 from contactqp.errors import Unsupported
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.extended import Extended, extend, extended_rows, two_product
-from contactqp.linalg.refinement import INVISIBLE, ROUNDED_AWAY
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Vector
+from contactqp.linalg.refinement import ROUNDED_AWAY
+from contactqp.model.arrays import EPS, INVISIBLE, TINY, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf

@@ -36,8 +36,8 @@ from contactqp.analysis.rate_data import (
 from contactqp.analysis.slip_law import FactorisedStates, Frictional, Frictionless, SlipLaw, times
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.extended import Extended, SparseRows, extend, extended_rows
-from contactqp.linalg.refinement import CAUTION, INVISIBLE
-from contactqp.model.arrays import EPS, Array, Vector, zero_beneath
+from contactqp.linalg.refinement import CAUTION
+from contactqp.model.arrays import EPS, INVISIBLE, Array, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 

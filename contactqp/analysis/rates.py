@@ -66,8 +66,7 @@ from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.iteration import constraints_are_many, contacts_are_many, factorised, iterated, may_be_factorised
 from contactqp.linalg.measures import lengths
-from contactqp.linalg.refinement import INVISIBLE
-from contactqp.model.arrays import Indices, Mask, Vector
+from contactqp.model.arrays import INVISIBLE, Indices, Mask, Vector
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Solution

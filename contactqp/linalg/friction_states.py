@@ -41,7 +41,7 @@ from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack
-from contactqp.model.arrays import EPS, Array, Mask, Vector, refuse_late, zero_beneath
+from contactqp.model.arrays import EPS, INVISIBLE, Array, Mask, Vector, refuse_late, zero_beneath
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, AnswerOf
@@ -98,8 +98,6 @@ SAME_SYSTEM = 1e-9
 REFINEMENT_FAILED = 1e-12
 # A slip below this part of the friction bound, both in sqrt(energy), has no direction.
 LEAST_SLIP = 1e-13
-# Rounding errors of zero after refinement, relative to the largest component.
-INVISIBLE = 1e-22
 # Corrections below this part of the answer do not change its doubles.
 BELOW_DOUBLES = 1e-20
 # The work named in the message if the time limit has passed.

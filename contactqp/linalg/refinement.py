@@ -20,7 +20,7 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.model.arrays import EPS, Array, Indices, Vector, zero_beneath
+from contactqp.model.arrays import EPS, INVISIBLE, Array, Indices, Vector, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -28,8 +28,6 @@ from contactqp.model.solution import Answer
 MAX_SWEEPS = 12
 # This part of the systems that are affordable may exchange dependent contacts of one set.
 FOR_EXCHANGES = 5
-# Forces below this part of the largest are rounding errors of refinement.
-INVISIBLE = 1e-22
 # The smallest ratio of successive corrections that a solve in double precision is trusted with.
 LEAST_CONTRACTION = EPS
 # Corrections below this part of the answer are rounding of twice double precision and do not measure contraction.

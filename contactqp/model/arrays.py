@@ -73,6 +73,10 @@ def all_finite(answer: object) -> bool:
     return all(bool(np.isfinite(part).all()) for part in arrays)
 
 
+# Values below this part of the largest are rounding that refinement leaves of zero.
+INVISIBLE = 1e-22
+
+
 def zero_beneath(values: Sequence[Array], units: Sequence[Array], least: float) -> list[Array]:
     """Return arrays with zeros in place of values with |value| times unit at most `least`, the rounding that refinement
     leaves.

@@ -30,7 +30,6 @@ from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import lay_out, longest_stated, row_sizes
 from contactqp.linalg.refinement import (
-    INVISIBLE,
     closed_contacts,
     least_displacement,
     polish,
@@ -39,6 +38,7 @@ from contactqp.linalg.refinement import (
 )
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import (
+    INVISIBLE,
     POLISH,
     Array,
     Vector,
