@@ -23,6 +23,7 @@ from contactqp.errors import InvalidProblem, Unsupported, shown
 from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.dense import (
     DENSE_SIZE,
+    LIFT,
     SUSPICIOUS_PIVOT,
     WRITTEN_OUT,
     BackSubstitution,
@@ -93,7 +94,7 @@ class Condensation:
         touched = touched_unknowns(problem)
         self._wider: Condensation | None = problem._computed.wider_condensation
         stated = _stated_motions(problem)
-        floats = stated.motions.shape[1] > 0
+        floats = stated.count > 0
         self.rigid = RigidMotions(stated.motions[:, :0]) if floats else stated
         retained = touched
         if problem.near_null_space is None and problem.dimension >= LARGE:
@@ -178,11 +179,13 @@ class Condensation:
         if no body is stated to float.
         """
         if problem.near_null_space is not None and not problem.near_null_space.shape[1]:
-            self._schur_smallest_pivot(problem)  # which refuses an indefinite stiffness
+            self._schur_smallest_pivot(problem, rounded=False)
             return False
         if self._elimination.smallest_pivot < SUSPICIOUS_PIVOT:
             return True
-        return self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, self.lost_digits)
+        if self._schur_smallest_pivot(problem) < max(SUSPICIOUS_PIVOT, lost := self.lost_digits):
+            return True
+        return len(self.schur) > 1 and self.schur_factor.least_stiffness < max(LIFT * len(self.schur), lost)
 
     def _find_rigid_motions(self, problem: ContactProblem, touched: Indices) -> None:
         """Find the rigid motions; if the interior floats, some distant nodes are retained, so that S has them all.
@@ -228,14 +231,12 @@ class Condensation:
         left = (self._diagonal[self.retained] * self.scale**2).max(initial=0.0)
         return float(LOST_DIGITS / self._elimination.smallest_pivot * left)
 
-    def _schur_smallest_pivot(self, problem: ContactProblem) -> float:
-        lowest = self.schur_factor.smallest_pivot if len(self.schur) else 1.0
+    def _schur_smallest_pivot(self, problem: ContactProblem, rounded: bool = True) -> float:
+        lowest = self.schur_factor.smallest_pivot
         if lowest < -CONDENSED_ROUNDING:
-            refuse_indefinite(problem)
-            raise InvalidProblem(
-                f"stiffness: expected positive semidefinite, got an indefinite matrix (eigenvalue {lowest:.3g} on the "
-                "contact unknowns, after scaling its diagonal to one)"
-            )
+            refuse_indefinite(problem)  # otherwise K has been rounded where bodies float
+            if not rounded:
+                raise InvalidProblem(f"stiffness: as it stands it is indefinite, by {lowest:.3g} of its diagonal")
         return lowest
 
     @cached_property
@@ -495,6 +496,4 @@ def _stated_motions(problem: ContactProblem) -> RigidMotions:
 def touched_unknowns(problem: ContactProblem) -> Indices:
     """Return the unknowns that contacts, their tangents and ties touch."""
     rows = [problem.normal, problem.tie] + ([] if problem.tangent is None else [problem.tangent])
-    touched = np.zeros(problem.dimension, dtype=bool)
-    touched[np.concatenate([row.indices for row in rows])] = True
-    return touched.nonzero()[0]
+    return np.bincount(np.concatenate([row.indices for row in rows]), minlength=problem.dimension).nonzero()[0]

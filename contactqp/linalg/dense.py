@@ -88,6 +88,11 @@ class DenseCholesky:
             lifted = cholesky(scaled + lift * np.eye(len(scaled)), lower=True, check_finite=False)
         self.lower = lifted
 
+    @property
+    def least_stiffness(self) -> float:
+        """Return 1 / |A^-1| of the scaled matrix: where stiffnesses are graded, no pivot need be as small."""
+        return float(lapack().dpocon(self.lower, 1.0, uplo="L")[0]) if self.smallest_pivot > 0 else 0.0
+
     def solve(self, right: Array) -> Array:
         if not right.size:
             return np.zeros(right.shape)

@@ -236,3 +236,19 @@ def test_of_many_parts_those_of_the_largest_forces_are_printed() -> None:
     assert "30 parts, the 10 of the largest forces" in printed
     assert "strut 29" in printed
     assert "strut 19 " not in printed
+
+
+@pytest.mark.parametrize(
+    "stiffnesses", [(121e3, 1.1e-5, 12.1, 1e-6), (11e6, 1100.0, 12.1, 1.21e-3), (1e4, *10.0 ** np.arange(5, -7, -1))]
+)
+def test_props_whose_stiffnesses_span_many_decades_carry_a_load_in_any_order(stiffnesses: tuple[float, ...]) -> None:
+    """The first prop alone is reached: w = -P / k. No pivot of the singular stiffness is small in such an order.
+
+    The props were taken to hold each other by rounding, and the right answer was refused with an infinite bound.
+    """
+    for order in (np.arange(len(stiffnesses)), np.random.default_rng(0).permutation(len(stiffnesses))):
+        props = [cq.Strut(f"prop {i}", {"w": 1.0}, stiffnesses[i], gap=1e-3 * float(i)) for i in order]
+        minimum = cq.ConstrainedEnergy(["w"], load=[-1.0], parts=props).solve()
+        assert minimum["w"] == pytest.approx(-1 / stiffnesses[0], rel=1e-12)
+        assert minimum.parts["prop 0"].force == pytest.approx(1.0, rel=1e-12)
+        assert minimum.certificate.proven
