@@ -108,6 +108,7 @@ class Condensation:
             self.rigid = stated
         elif self._may_be_singular(problem):
             self._find_rigid_motions(problem, touched)
+            self.rigid = stated if stated.count == self.rigid.count else self.rigid  # not mixed with soft motions
         if self.rigid.softest < LOST * problem.rigid_change:
             raise InvalidProblem(
                 f"stiffness: it was printed, and {self.rigid.softest:.2g} of it resists a motion, which lost digits "
