@@ -82,7 +82,7 @@ def objects() -> dict[str, Any]:
     return {
         "problems": (problem, rough, local(), tied(), cq.GlobalProblem.of(rough)),
         "part": problem.with_contacts(np.array([1])),
-        "summed": problem.with_load_sum(problem.load, 2 * problem.load),
+        "summed": problem._with_load_sum(problem.load, 2 * problem.load),
         "tie left out": tied().with_ties(np.array([0])),
         "solutions": (solution, cq.solve(rough), cq.solve(local()), cq.solve(tied())),
         "cases": cq.solve_many(problem, loads=[[10.0, 1.0], [0.0, 1.0]]),

@@ -38,7 +38,6 @@ NOT_CALLED: dict[str, str] = {
     **{f"Mesh.{name}": "called with the mesh's own facets" for name in
        ("facets_of", "facets_within", "find_facets", "places")},
     "ContactProblem.transformed": "called by a change of units, with arrays of the problem's own",
-    "ContactProblem.with_load_sum": "called by solvers, with sizes behind the entries of a load",
     **{f"NonlinearTruss.{name}": "called with the truss's own blocks and forces" for name in ("assembled", "summed")},
     "differentiable": "a bridge to packages that these tests do without",
     "Scene.model_copy": "pydantic's own",

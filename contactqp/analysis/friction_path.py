@@ -294,7 +294,7 @@ def step_notes(problem: ContactProblem, steps: Sequence[Solution], times: Sequen
     if reason:
         yield f"whether steps jump was not examined: {reason}"
     else:
-        with problem.lock, one_blas_thread(problem):
+        with problem._lock, one_blas_thread(problem):
             system = ForceSystem(problem, condense(problem))
             in_doubles, exact = _operations_of_an_event(problem, system)
             allowed, spent = max(BUDGET, len(steps) * exact), 0.0
@@ -436,6 +436,6 @@ class _WithoutSprings:
         """Return the method's certified answer at the instant."""
         on_springs, n = self.on_springs[self.instant], self.problem.dimension
         whole = on_springs.problem
-        with self.problem.lock, one_blas_thread(self.problem):
+        with self.problem._lock, one_blas_thread(self.problem):
             own = self.problem.replace(load=whole.load[:n], slip_origin=whole.slip_origin)
             return without_contact_springs(own, on_springs, self.name)

@@ -249,7 +249,7 @@ class UncertifiedStep:
     @cached_property
     def _finished(self) -> Solution:
         started = time.perf_counter()
-        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
+        with self.problem._lock, one_blas_thread(self.problem), stage(POLISH):
             run = run_on_combination(self.problem, self.system, self.lengths, self.found, self.combinations, self.meter)
         run.seconds = self.seconds + time.perf_counter() - started
         return run.finish()

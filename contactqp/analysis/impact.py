@@ -133,7 +133,7 @@ def impact(
     >>> round(thrown.energies[-1].impact, 12)
     12.0
     """
-    problem.refuse_exchanged_arrays()
+    problem._refuse_exchanged_arrays()
     entry = find(scheme)
     settings = _settings(entry, theta, restitution, penalty)
     method = registered_name(method)

@@ -134,7 +134,7 @@ def follow_path(
             raise
     if events and iterated(problem):
         raise Unsupported("follow_path: exact events of a body that is not factorised; take steps")
-    with problem.lock, one_blas_thread(problem), within_time_of(options):
+    with problem._lock, one_blas_thread(problem), within_time_of(options):
         if problem.frictional:
             chosen = find(method)
             if chosen.springs is not None:

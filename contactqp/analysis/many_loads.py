@@ -133,7 +133,7 @@ def _by_influence(cases: LoadCases, rows: _Rows) -> None:
         if not _pays(cases, problem) or not _may_stick(cases, problem, rows):
             return
         meter = Meter(problem)
-        with problem.lock, one_blas_thread(problem), stage(METHOD), meter.running():
+        with problem._lock, one_blas_thread(problem), stage(METHOD), meter.running():
             condensation, loaded, rough = condense(problem), cases.loaded(), _is_rough(cases, problem)
             size, free = len(loaded) * _functions(problem, rough) * loaded.itemsize, free_memory()
             if not len(condensation.schur) or size > PART_OF_MEMORY * (free or np.inf):

@@ -151,7 +151,7 @@ def certificate_of(
         failures = list(messages.not_finite_parts(problem, answer))
         return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance)
     with one_blas_thread(problem), stage(CERTIFY), in_any_time():
-        problem.refuse_exchanged_arrays()
+        problem._refuse_exchanged_arrays()
         if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
             theirs = rows.answer(answer)
             judged = _judge(rows.problem, theirs, tolerance, error_tolerance, factorization, prove_friction)
@@ -191,9 +191,9 @@ def _judge(
     prove_friction: bool,
 ) -> Certificate:
     """Return the certificate of a finite answer, measured in units in which the problem's numbers are near one."""
-    near = None if problem.is_near_one else near_one(problem)
+    near = None if problem._is_near_one else near_one(problem)
     scaled, seen = (problem, answer) if near is None else (near.problem, near.answer(answer))
-    with scaled.lock:
+    with scaled._lock:
         if absurd := tuple(_absurd_parts(seen)):
             failures = [messages.of_absurd_part(problem, name, getattr(answer, name), i) for name, i in absurd]
             return messages.not_finite(problem.frictional, failures, tolerance, error_tolerance, messages.ABSURD_ANSWER)
@@ -409,7 +409,7 @@ def _basis(
     allowed: tuple[float, float],
 ) -> _Basis:
     """Choose the systems by which an answer is judged, and compute its residual and its bounds without friction."""
-    at_once = factorization is not None or (problem.is_small and not os.environ.get(SOLVER_VARIABLE))
+    at_once = factorization is not None or (problem._is_small and not os.environ.get(SOLVER_VARIABLE))
     systems = Systems.CONDENSED if at_once else systems_of(problem)
     proves = prove_friction and problem.frictional
     if systems is Systems.ITERATED:

@@ -155,7 +155,7 @@ def critical_friction(problem: ContactProblem) -> CriticalFriction:
             return critical_friction(problem)
     if iterated(problem):
         raise Unsupported("critical_friction: a body this large is not factorised")
-    with problem.lock:
+    with problem._lock:
         condensation = condense(problem)
         if (reason := too_many(problem, condensation)) is not None:
             raise Unsupported(f"critical_friction: {reason}")

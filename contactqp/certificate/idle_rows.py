@@ -382,7 +382,7 @@ def acting_rows(problem: ContactProblem) -> ActingRows | None:
         changes |= dict(friction=problem.friction[contacts], slip_origin=problem.slip_origin[contacts])
     acting = cached[1].replace(**changes)
     if problem.load_sum is not None:
-        acting = acting.with_load_sum(problem.load, problem.load_size)
+        acting = acting._with_load_sum(problem.load, problem.load_size)
     return ActingRows(problem, contacts, ties, acting)
 
 

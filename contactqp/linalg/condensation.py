@@ -468,7 +468,7 @@ def _sparse_columns_of(rows: Any, columns: Indices) -> Any:
 
 def condense(problem: ContactProblem) -> Condensation:
     """Return the condensation of a problem, computed once and shared by `problem.replace`."""
-    problem.refuse_exchanged_arrays()
+    problem._refuse_exchanged_arrays()
     if problem.has_idle_rows:
         raise Unsupported(
             "contacts with a gap of infinity or a row of zeros, and ties of zeros, constrain nothing: "

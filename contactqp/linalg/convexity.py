@@ -73,7 +73,7 @@ def moves_beyond_bodies(problem: ContactProblem) -> bool:
 
     Condensing would treat each of them as rigid.
     """
-    if problem.frictional or problem.is_small:
+    if problem.frictional or problem._is_small:
         return False
     motions = motions_of_dense(problem)
     return motions > RIGID_MOTIONS and motions > RIGID_MOTIONS * connected_parts(problem.stiffness_rows)[0]

@@ -112,7 +112,7 @@ def _loaded(
         force = _near(max(_size(load), length * stiffest))
         twin = of_stiffness_times(problem, twin, length / force)
     twin = twin.replace(gap=gap / length, tie_value=value / length)
-    twin = twin.with_load_sum(load / force, D * problem.load_size / force)
+    twin = twin._with_load_sum(load / force, D * problem.load_size / force)
     return twin, replace(scaling, length=length, force=force)
 
 

@@ -292,7 +292,7 @@ def iterable(problem: ContactProblem) -> bool:
     """Return whether the rigid motions of all floating bodies are known to a multigrid hierarchy; False without
     pyamg.
     """
-    with problem.lock:
+    with problem._lock:
         of_stiffness = problem._computed.of_stiffness
         if of_stiffness.iterable is None:
             try:

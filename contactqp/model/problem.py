@@ -243,7 +243,7 @@ class ContactProblem:
         vars(self).update({name: read_only(value) for name, value in values.items() if type(value) not in PLAIN})
         self.load_size, self.own_scale  # noqa: B018  which everything asks for too
 
-    def refuse_exchanged_arrays(self) -> None:
+    def _refuse_exchanged_arrays(self) -> None:
         """Raise InvalidProblem where a sparse matrix was given other arrays: read-only ones can still be exchanged."""
         for matrix, data, indices, indptr in vars(self)["_arrays"]:
             if not (matrix.data is data and matrix.indices is indices and matrix.indptr is indptr):
@@ -261,7 +261,7 @@ class ContactProblem:
 
     def _values(self) -> dict[str, Any]:
         """Return all data of the problem by the names of the fields, without computed results."""
-        self.refuse_exchanged_arrays()
+        self._refuse_exchanged_arrays()
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_computed"}
 
     def transformed(
@@ -398,11 +398,11 @@ class ContactProblem:
             checked["units"] = read_units(changes["units"])
         return ContactProblem._of_checked(checked, self._computed)
 
-    def afresh(self) -> ContactProblem:
+    def _without_results(self) -> ContactProblem:
         """Return a copy of the problem without computed results."""
         return ContactProblem._of_checked(self._values(), Computed())
 
-    def with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
+    def _with_load_sum(self, load: Vector, size: Vector) -> ContactProblem:
         """Return the problem under a load (n,) that is a sum of forces whose sizes add up to `size` (n,)."""
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
@@ -418,7 +418,7 @@ class ContactProblem:
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @cached_property
-    def is_near_one(self) -> bool:
+    def _is_near_one(self) -> bool:
         """Return whether all unknowns have stiffness and no number is far from one; otherwise `number_range`
         rescales.
         """
@@ -428,7 +428,7 @@ class ContactProblem:
         return bool(self.diagonal.all()) and are_near_one(np.concatenate([self.diagonal, *rows, largest]))
 
     @cached_property
-    def is_small(self) -> bool:
+    def _is_small(self) -> bool:
         """Return whether all unknowns have stiffness and are few, as are the rows, so that condensing is cheap."""
         rows = self.contacts + self.ties + (0 if self.tangent is None else self.tangent.shape[0])
         return max(self.dimension, rows) < WORTHWHILE and bool(self.diagonal.all())
@@ -455,7 +455,7 @@ class ContactProblem:
         return ContactProblem._of_checked(kept, Computed(self._computed.of_stiffness))
 
     @property
-    def lock(self) -> Any:
+    def _lock(self) -> Any:
         """Return the lock for computations that problems with the same stiffness and rows share.
 
         Every process has its own, since a process forked while another thread holds the lock would wait for ever.

@@ -89,7 +89,7 @@ def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] |
     if (near := near_one(problem)) is not None:
         return tuple(of_problem(near, one) for one in equilibria(near.problem))
     started = time.perf_counter()
-    with problem.lock:
+    with problem._lock:
         found = found_by_enumeration(problem)
     for run in found:
         run.seconds = time.perf_counter() - started
@@ -232,6 +232,6 @@ def _local(problem: ContactProblem) -> LocalProblem:
         raise InvalidProblem("existence_margin: expected a problem with friction")
     near = near_one(problem)
     problem = problem if near is None else near.problem
-    with problem.lock:
+    with problem._lock:
         way = condense(problem)
         return ContactForm(problem, way, condensed_frictional_rows(problem, way)).local

@@ -295,7 +295,7 @@ def _with(problem: ContactProblem, contacts: Indices, ties: Indices) -> ContactP
     fewer: ContactProblem = cached[2].replace(
         load=problem.load, gap=problem.gap[contacts], tie_value=problem.tie_value[ties]
     )
-    return fewer if problem.load_sum is None else fewer.with_load_sum(problem.load, problem.load_size)
+    return fewer if problem.load_sum is None else fewer._with_load_sum(problem.load, problem.load_size)
 
 
 class PresolvedRun(Run):

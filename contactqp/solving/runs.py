@@ -148,13 +148,13 @@ class Run(ABC):
             As `solve`.
         """
         started = time.perf_counter() - self.seconds
-        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH):
+        with self.problem._lock, one_blas_thread(self.problem), stage(POLISH):
             return self._accepted(*self._certified(started))
 
     def seconds_to_answer(self) -> float:
         """Polish as `finish` does, and return the seconds of method and polishing, without certifying."""
         started = time.perf_counter() - self.seconds
-        with self.problem.lock, one_blas_thread(self.problem), stage(POLISH), self.meter.running():
+        with self.problem._lock, one_blas_thread(self.problem), stage(POLISH), self.meter.running():
             self.final()
             return time.perf_counter() - started
 

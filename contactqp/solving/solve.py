@@ -222,16 +222,16 @@ def _solve(
     """Solve on another engine, in other units, on a subset of the contacts or directly, else by other routes."""
     condense, algorithm = same["condense"], same["algorithm"]
     options = {name: value for name, value in same.items() if name not in OF_EVERY_METHOD}
-    problem.refuse_exchanged_arrays()
+    problem._refuse_exchanged_arrays()
     if problem.has_idle_rows and (rows := acting_rows(problem)) is not None:
         return _without_idle_rows(rows, method, engine=engine, warm_start=warm_start, **same)
     start = None if warm_start is None else warm_candidate(problem, warm_start)
     if engine != SERIAL:
         elsewhere: Callable[..., Solution] = engine_named(engine).function("solve")
         return elsewhere(problem, method, warm_start=warm_start, **same)
-    if not problem.is_near_one and (near := near_one(problem)) is not None:
+    if not problem._is_near_one and (near := near_one(problem)) is not None:
         return _in_other_units(near, method, warm_start=warm_start, **same)
-    small = problem.is_small and not os.environ.get(SOLVER_VARIABLE)  # nothing costs less than condensing it
+    small = problem._is_small and not os.environ.get(SOLVER_VARIABLE)  # nothing costs less than condensing it
     systems = Systems.CONDENSED if small else systems_of(problem)
     if systems is Systems.ITERATED and may_be_factorised(problem):
         needs_factors = find(method).kind != ACTIVE_SET or condense is True or algorithm not in (None, "tresca")
@@ -239,7 +239,7 @@ def _solve(
             with factorised(problem):
                 return solve(problem, method, warm_start=warm_start, **same)
     if systems is Systems.SUBSET and algorithm != "associated":
-        with problem.lock, stage(METHOD):
+        with problem._lock, stage(METHOD):
             among = solve_among(
                 problem,
                 warm_start,
@@ -427,7 +427,7 @@ def _begun(
     if settings.options and not problem.frictional:  # options of friction cones without friction
         others = {name: value for name, value in settings.options.items() if name not in POLYGON_OPTIONS}
         settings = replace(settings, options=others)
-    with problem.lock, one_blas_thread(problem), stage(METHOD):
+    with problem._lock, one_blas_thread(problem), stage(METHOD):
         run = _run(problem, method, systems, settings, condense, algorithm)
     run.polish, run.seconds = polish, time.perf_counter() - started
     return run

@@ -413,7 +413,7 @@ def by_sparse_systems(
         settings = replace(settings, max_iter=SYSTEMS_OF_ONE)
     started = time.perf_counter()
     try:
-        with problem.lock, one_blas_thread(problem), stage(METHOD):
+        with problem._lock, one_blas_thread(problem), stage(METHOD):
             run = SparseRun(problem, method, settings, given)
         run.seconds = time.perf_counter() - started
         return after(error, SPARSE, run.finish())

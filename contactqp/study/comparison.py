@@ -148,7 +148,7 @@ def _seconds(problem: ContactProblem, setting: Setting, follow: FollowHistory | 
     """Return the time of one call to the answer [s], whose certificate the row has from another call."""
     if follow is None and isinstance(problem, ContactProblem):
         try:
-            seconds = _seconds_to_answer(problem.afresh(), setting.method.name, **setting.options)
+            seconds = _seconds_to_answer(problem._without_results(), setting.method.name, **setting.options)
         except ContactQPError:
             seconds = None
         if seconds is not None:
@@ -197,7 +197,7 @@ def call(problem: ContactProblem, setting: Setting, follow: FollowHistory | None
     Errors of contactqp are outcomes; all others are bugs and are not caught. The time [s] excludes the certificate and
     the raw answer, except in `follow`, where each step is certified.
     """
-    fresh = problem.afresh()  # a copy without shared factorisations
+    fresh = problem._without_results()  # a copy without shared factorisations
     solution: Solution | None = None
     error: ContactQPError | None = None
     started = time.perf_counter()

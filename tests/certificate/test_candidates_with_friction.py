@@ -53,7 +53,7 @@ def pressed(held: str, friction: float = 0.3, weight: float = 1.0) -> cq.Contact
 
 
 def all_at_once(problem: cq.ContactProblem) -> cq.Solution:
-    twin = problem.afresh()
+    twin = problem._without_results()
     subset_bounds.take_all(twin)
     return cq.solve(twin)
 
@@ -96,7 +96,7 @@ def test_what_closes_nothing_and_what_starts_from_there() -> None:
     assert apart.certificate.passed
     assert set(apart.contact_status) == {"open"}
     assert np.all(apart.friction_force == 0)
-    same(cq.solve(problem.afresh(), warm_start=replace(apart, problem=problem)), all_at_once(problem))
+    same(cq.solve(problem._without_results(), warm_start=replace(apart, problem=problem)), all_at_once(problem))
 
 
 @pytest.mark.slow
@@ -131,7 +131,10 @@ def test_explain_says_what_is_condensed_onto(monkeypatch: pytest.MonkeyPatch) ->
         "retains three rows of each"
     )
     monkeypatch.setattr(iteration, "MANY_WITH_FRICTION", 300)
-    assert explaining._systems(problem.afresh()).reason == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
+    assert (
+        explaining._systems(problem._without_results()).reason
+        == f"onto {3 * CONTACTS} unknowns that contacts and ties touch"
+    )
 
 
 @pytest.mark.slow
@@ -153,7 +156,7 @@ def test_answers_of_others_are_judged_with_all_contacts(wrong: str) -> None:
         u = without.displacement
         normal[kept], friction[kept] = without.normal_force, without.friction_force
         normal[pushed], friction[pushed] = 0.0, 0.0
-    certificate = cq.certify(problem.afresh(), u, normal, friction)
+    certificate = cq.certify(problem._without_results(), u, normal, friction)
     assert certificate.passed == (wrong == "none"), str(certificate)
 
 

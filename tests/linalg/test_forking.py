@@ -64,7 +64,7 @@ def in_forked_child(work: Callable[[], Any]) -> Any:
 def test_a_problem_is_solved_in_a_child_while_a_thread_of_the_parent_works_on_it(make) -> None:
     problem = make()
     expected = cq.solve(problem).normal_force.tolist()
-    with held_elsewhere(problem.lock):
+    with held_elsewhere(problem._lock):
         assert in_forked_child(lambda: cq.solve(problem).normal_force.tolist()) == expected
         changed = problem.replace(load=2 * problem.load)
         found = in_forked_child(lambda: cq.solve(changed))
@@ -77,16 +77,16 @@ def test_the_lock_of_a_child_is_a_lock() -> None:
     problem = bars()
 
     def one_lock() -> bool:
-        return problem.lock is problem.replace(load=[0.0, 0.0]).lock and problem.lock.acquire(blocking=False)
+        return problem._lock is problem.replace(load=[0.0, 0.0])._lock and problem._lock.acquire(blocking=False)
 
-    with held_elsewhere(problem.lock):
+    with held_elsewhere(problem._lock):
         assert in_forked_child(one_lock)
-        assert not problem.lock.acquire(blocking=False)
+        assert not problem._lock.acquire(blocking=False)
 
 
 def test_a_solve_may_fork_inside_of_itself() -> None:
     problem = bars()
-    with problem.lock:
+    with problem._lock:
         assert in_forked_child(lambda: cq.solve(problem).certificate.passed)
 
 

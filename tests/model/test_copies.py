@@ -116,7 +116,7 @@ def test_the_verdict_on_a_copy_is_the_same_to_the_last_bit(name: str, way: str) 
 
 
 def test_a_copy_keeps_the_sizes_that_add_up_to_a_load_and_the_numbers_of_ties() -> None:
-    summed = bars().with_load_sum(np.array([0.0, 1.0]), np.array([20.0, 1.0]))
+    summed = bars()._with_load_sum(np.array([0.0, 1.0]), np.array([20.0, 1.0]))
     two = cq.ContactProblem([[2.0]], [1.0], [[1.0]], [0.5], tie=[[1.0], [2.0]]).with_ties(np.array([1]))
     for way in WAYS.values():
         np.testing.assert_array_equal(way(summed).load_size, [20.0, 1.0])

@@ -209,7 +209,7 @@ def _refined(problem: ContactProblem, settings: NewtonSettings, start: Candidate
         run = begin(problem, settings.method, start, **options)
     except (NotConverged, BackendFailed):
         return None
-    with problem.lock, one_blas_thread(problem), stage(POLISH), run.meter.running():
+    with problem._lock, one_blas_thread(problem), stage(POLISH), run.meter.running():
         final = run.final()
     if not final.polished:
         return None

@@ -357,7 +357,7 @@ def _step_problem(motion: Motion, k: int) -> tuple[ContactProblem, StepResult]:
         step = step.replace(slip_origin=np.zeros(tangential) if unmoved else posed.slip_origin)
     if posed.base is not None:
         load, size = posed.load + template.stiffness_rows @ posed.base, abs(posed.load)
-        step = step.with_load_sum(load, size + template.stiffness_sizes @ abs(posed.base))
+        step = step._with_load_sum(load, size + template.stiffness_sizes @ abs(posed.base))
     return step, found
 
 

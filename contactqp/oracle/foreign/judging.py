@@ -155,7 +155,7 @@ def _with_forces_of_solution(problem: ContactProblem, given: GivenAnswer) -> Rec
     right if the displacement is.
     """
     missing = missing_parts(problem, given)
-    if given.displacement is None or "normal_force" not in missing or problem.frictional or not problem.is_small:
+    if given.displacement is None or "normal_force" not in missing or problem.frictional or not problem._is_small:
         return None
     with suppress(ContactQPError):
         right = _kept_solution(held_against(problem))

@@ -153,7 +153,9 @@ class Deck:
         with naming(self.model.file):
             exact = self._exact(contacts.free, None if slipped is None else slipped[contacts.tangent_rows])
             problem = exact if enforcement == "exact" else self._on_springs(exact, contacts)
-            return problem.with_load_sum(problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free))))
+            return problem._with_load_sum(
+                problem.load, np.pad(self._load_size, (0, problem.dimension - len(self.free)))
+            )
 
     def _slipped(self, enforcement: Enforcement, discretisation: Discretisation) -> Vector | None:
         """Return E_T u of all pairs at the start of the last step, less the elongation of tangential springs [length].
