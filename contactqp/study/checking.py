@@ -27,7 +27,7 @@ from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LOCALLY, LocalCertificate, reasons_together
 from contactqp.model.summary import finite
-from contactqp.oracle.diagnosis.scales import named_factor
+from contactqp.oracle.diagnosis.orders import mistake_in_local_forces
 from contactqp.oracle.judged_answer import JudgedAnswer, certify
 from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene
@@ -222,7 +222,7 @@ def check_forces(problem_file: str, candidate_file: str, options: CheckOptions) 
         right=right,
         why_not=why_not,
         ledgers=(ledger, candidate),
-        notes=(*_undone(problem, given, right, options.tolerance, certificate.passed), *_notes(problem, given)),
+        notes=(*_causes(problem, given, right, certificate), *_notes(problem, given)),
     )
 
 
@@ -280,64 +280,13 @@ def _contact(
     )
 
 
-# The least tolerance that is not tried on forces that may be right up to their printed digits.
-COARSE = 1e-3
-
-
-def _undone(
-    problem: LocalProblem, given: StoredAnswer, right: LocalSolution | None, tolerance: float, passed: bool
+def _causes(
+    problem: LocalProblem, given: StoredAnswer, right: LocalSolution | None, certificate: LocalCertificate
 ) -> Iterator[str]:
-    """Yield what turns wrong forces into right ones, at most one cause: a sign, an order, a unit, printed digits.
-
-    Parameters
-    ----------
-    problem, given : the problem and the forces of the file
-    right : LocalSolution or None, whose size shows a factor
-    tolerance : float, of the verdict
-    passed : bool, whether there is nothing to explain
-    """
-    if passed or not given.finite or not np.any(given.force):
-        return
-
-    def passes(force: Array, limit: float) -> bool:
-        measures = contact_figures(problem, force, given.joint_force).values()
-        small = all(float(np.max(part, initial=0.0)) <= limit for part in measures)
-        return small and bool(certify_local(problem, force, given.joint_force, tolerance=limit).passed)
-
-    for text, force in _undoings(given.force, right):
-        if passes(force, tolerance):
-            yield f"{text} this answer is right"
-            return
-    for power in range(int(np.ceil(np.log10(tolerance) + 1e-9)), int(np.log10(COARSE))):
-        if passes(given.force, 10.0**power):
-            yield f"with --tolerance 1e{power:03d} this answer is right: printed digits, or iterations stopped early?"
-            return
-
-
-def _undoings(force: Array, right: LocalSolution | None) -> Iterator[tuple[str, Array]]:
-    """Yield mistakes in words, and the forces without them."""
-    m, d = force.shape
-    negative = -np.ones(d - 1)
-    yield "all normal forces have the opposite sign: with --compression negative", force * np.r_[-1.0, -negative]
-    yield "all forces have the opposite sign, those on the obstacle? Turned,", -force
-    yield "all tangential forces have the opposite sign: turned,", force * np.r_[1.0, negative]
-    order = "(T1, T2, N)" if d == 3 else "(T, N)"
-    yield f"the columns stand in the order {order}: in the order (N, T1, T2)", np.roll(force, 1, axis=1)
-    if d == 3:
-        N, first, second = force.T
-        yield "the two tangential directions are swapped: undone,", np.column_stack([N, second, first])
-        yield "the first tangential direction has the opposite sign: turned,", force * [1.0, -1.0, 1.0]
-        yield "the second tangential direction has the opposite sign: turned,", force * [1.0, 1.0, -1.0]
-        yield "the tangential directions are turned by a right angle: undone,", np.column_stack([N, second, -first])
-        yield "the tangential directions are turned by a right angle: undone,", np.column_stack([N, -second, first])
-    yield "the contacts stand in reverse order: turned round,", force[::-1]
-    yield "all normal forces stand before the tangential ones: contact by contact", force.ravel().reshape(d, m).T
-    if right is not None and np.any(right.force):
-        factor = float(np.sum(force * right.force) / np.sum(right.force**2))
-        named = named_factor(factor, length=False, unit="") if factor else None
-        if named is not None and named.exact not in (0.0, 1.0, -1.0):
-            guess = f" ({named.guess}?)" if named.guess else ""
-            yield f"all forces are {named.exact:.10g} times the right ones{guess}: divided,", force / named.exact
+    """Return the mistake that explains wrong forces, in words; nothing where none does."""
+    if certificate.passed or not given.finite or not np.any(given.force):
+        return iter(())
+    return mistake_in_local_forces(problem, given.force, given.joint_force, right, certificate.tolerance)
 
 
 @own_floating_point

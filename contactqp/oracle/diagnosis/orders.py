@@ -1,4 +1,4 @@
-"""Recognise answers whose values are permuted, and answers with two mistakes."""
+"""Recognise answers whose values are permuted, answers with two mistakes, and wrong forces of local problems."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from contactqp.certificate.local_certificate import certify_local, contact_figures
 from contactqp.errors import ContactQPError
 from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.local_problem import LocalProblem, LocalSolution
 from contactqp.model.solution import Solution
 from contactqp.oracle.diagnosis.evidence import LEFT, Evidence, Explanation, Finding, digits
 from contactqp.oracle.diagnosis.scales import named_factor
@@ -131,15 +133,9 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
     yield from _of_components(evidence, mine, right)
     if mine.shape[1] < 2:
         return
-    flat = mine.ravel()
-    tried = (
-        (mine[:, ::-1], "tangent-order", "the two tangential directions are swapped"),
-        (flat.reshape(2, -1).T, "tangent-order", "the friction forces stand direction by direction, not by contact"),
-        (mine * [-1.0, 1.0], "tangent-sign", "the first tangential direction has the opposite sign"),
-        (mine * [1.0, -1.0], "tangent-sign", "the second tangential direction has the opposite sign"),
-        (mine[:, ::-1] * [1.0, -1.0], "tangent-order", "the tangential directions are turned by a right angle"),
-        (mine[:, ::-1] * [-1.0, 1.0], "tangent-order", "the tangential directions are turned by a right angle"),
-    )
+    by_direction = "the friction forces stand direction by direction, not by contact"
+    swapped, *others = _tangential_mistakes(mine)
+    tried = (swapped, (mine.ravel().reshape(2, -1).T, "tangent-order", by_direction), *others)
     for changed, kind, text in tried:
         undone = evidence.with_parts(friction_force=np.ascontiguousarray(changed))
         left = evidence.apart(undone, right)
@@ -147,6 +143,16 @@ def _of_directions(evidence: Evidence) -> Iterator[Explanation]:
             yield Explanation(Finding(kind, f"{text}: undone, {evidence.then(undone, left)}", True), left)
             return
     yield from _of_angle(evidence, mine, right)
+
+
+def _tangential_mistakes(friction_force: Array) -> Iterator[tuple[Array, str, str]]:
+    """Yield friction forces (m, 2) with swapped or reversed directions put right, the kind of mistake, and words."""
+    swapped = friction_force[:, ::-1]
+    yield swapped, "tangent-order", "the two tangential directions are swapped"
+    for signs, which in (([-1.0, 1.0], "first"), ([1.0, -1.0], "second")):
+        yield friction_force * signs, "tangent-sign", f"the {which} tangential direction has the opposite sign"
+    for signs in ([1.0, -1.0], [-1.0, 1.0]):
+        yield swapped * signs, "tangent-order", "the tangential directions are turned by a right angle"
 
 
 def _of_components(evidence: Evidence, mine: Array, right: Solution) -> Iterator[Explanation]:
@@ -290,3 +296,58 @@ def _power(mine: float, right: float) -> int:
     exponent = float(np.log10(mine) - np.log10(right))
     power = 3 * round(exponent / 3)
     return power if abs(power) in POWERS and abs(exponent - power) <= NEAR else 0
+
+
+# The least tolerance that is not tried on local forces that may be right up to their printed digits.
+COARSE = 1e-3
+
+
+def mistake_in_local_forces(
+    problem: LocalProblem, force: Array, joint_force: Vector | None, right: LocalSolution | None, tolerance: float
+) -> Iterator[str]:
+    """Yield what turns wrong forces of a local problem into right ones, at most one cause.
+
+    It is a sign, an order, a unit or a few printed digits: undone, the certificate passes the forces.
+
+    Parameters
+    ----------
+    problem : LocalProblem
+    force : (m, d) array, finite and not all zero, in the order (N, T1, T2)
+    joint_force : array or None, forces of joints that the contacts do not have
+    right : LocalSolution or None, whose size shows a factor
+    tolerance : float, of the verdict
+    """
+
+    def passes(force: Array, limit: float) -> bool:
+        measures = contact_figures(problem, force, joint_force).values()
+        small = all(float(np.max(part, initial=0.0)) <= limit for part in measures)
+        return small and bool(certify_local(problem, force, joint_force, tolerance=limit).passed)
+
+    for text, undone in _local_mistakes(force, right):
+        if passes(undone, tolerance):
+            yield f"{text} this answer is right"
+            return
+    for power in range(int(np.ceil(np.log10(tolerance) + 1e-9)), int(np.log10(COARSE))):
+        if passes(force, 10.0**power):
+            yield f"with --tolerance 1e{power:03d} this answer is right: printed digits, or iterations stopped early?"
+            return
+
+
+def _local_mistakes(force: Array, right: LocalSolution | None) -> Iterator[tuple[str, Array]]:
+    """Yield mistakes in words, and the forces (m, d) without them."""
+    m, d = force.shape
+    yield "all normal forces have the opposite sign: with --compression negative", force * [-1.0, *[1.0] * (d - 1)]
+    yield "all forces have the opposite sign, those on the obstacle? Turned,", -force
+    yield "all tangential forces have the opposite sign: turned,", force * [1.0, *[-1.0] * (d - 1)]
+    order = "(T1, T2, N)" if d == 3 else "(T, N)"
+    yield f"the columns stand in the order {order}: in the order (N, T1, T2)", np.roll(force, 1, axis=1)
+    for friction_force, _, text in _tangential_mistakes(force[:, 1:]) if d == 3 else ():
+        yield f"{text}: undone,", np.column_stack([force[:, 0], friction_force])
+    yield "the contacts stand in reverse order: turned round,", force[::-1]
+    yield "all normal forces stand before the tangential ones: contact by contact", force.ravel().reshape(d, m).T
+    if right is not None and np.any(right.force):
+        factor = float(np.sum(force * right.force) / np.sum(right.force**2))
+        named = named_factor(factor, length=False, unit="") if factor else None
+        if named is not None and named.exact not in (0.0, 1.0, -1.0):
+            guess = f" ({named.guess}?)" if named.guess else ""
+            yield f"all forces are {named.exact:.10g} times the right ones{guess}: divided,", force / named.exact
