@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.model.computed import OfStiffness
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, AnswerOf
 
@@ -26,13 +27,14 @@ from contactqp.model.solution import Answer, AnswerOf
 FINE_EPS = 2.0**-104
 # Inner products with more entries are summed in pairs.
 LONG = 2**9
+# If |K||du| is at most this part of |K||u| everywhere, K du is formed in doubles, with an error of 2^-101 |K||u|.
+SLIGHT = 2.0**-48
 # The squared number of unknowns and rows up to which all matrices are stored as one dense array, as products with zeros
 # are cheaper than indexing.
 ONE_ARRAY = 2**13
 # The number of products formed at once, large compared with the cost of calls and small enough for the cache.
 WORTH_A_CALL = 2**15
 _SPLITTER = 2.0**27 + 1.0
-_NONE: Array = np.zeros(0)  # a sum without terms
 
 
 class Extended:
@@ -181,7 +183,6 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
     Products are formed for several slots at once.
     """
     width, count = block.values.shape
-    total, rest = _NONE, _NONE
     together = max(1, WORTH_A_CALL // count)
     for start in range(0, width, together):
         values, columns = block.values[start : start + together], block.columns[start : start + together]
@@ -189,7 +190,7 @@ def _product(block: _Block, vector: Extended, doubles: bool) -> tuple[Array, Arr
         if not doubles:
             errors += values * vector.lo.take(columns)
         sums, left = _added(products, errors)
-        if total is _NONE:
+        if start == 0:
             total, rest = sums, left
             continue
         total, carried = two_sum(total, sums)
@@ -229,6 +230,24 @@ def _block(rows: Any, members: Indices) -> _Block:
         filled = np.arange(width)[:, None] < lengths
         values, columns = np.where(filled, values, 0.0), np.where(filled, columns, 0)
     return _Block(members, values, columns)
+
+
+class StiffnessRows(SparseRows):
+    """A stiffness that adds K du to its last product for a slight change du of a displacement, once |K| is stored."""
+
+    def __init__(self, rows: Any, shared: OfStiffness) -> None:
+        super().__init__(rows)
+        self._rows, self._shared = rows, shared
+        self._last: tuple[Extended, Extended] | None = None
+
+    def __matmul__(self, vector: Extended) -> Extended:
+        if self._last is not None and (sizes := self._shared.sizes) is not None:
+            change = (vector - self._last[0]).double()
+            if (sizes @ abs(change) <= SLIGHT * (sizes @ abs(vector.hi))).all():
+                return self._last[1] + np.asarray(self._rows @ change)
+        product = super().__matmul__(vector)
+        self._last = vector, product
+        return product
 
 
 class ExtendedMatrix(Protocol):
@@ -323,9 +342,8 @@ class ExtendedRows:
         """Return the stiffness K (n, n), which is laid out once."""
         if self.together is not None:
             return self.together.part(slice(self.ends[0]), slice(self.ends[0]))
-        if self._of_stiffness.extended is None:
-            self._of_stiffness.extended = SparseRows(self._given[0])
-        rows: SparseRows = self._of_stiffness.extended
+        rows: StiffnessRows = self._of_stiffness.extended or StiffnessRows(self._given[0], self._of_stiffness)
+        self._of_stiffness.extended = rows
         return rows
 
     @cached_property
@@ -393,9 +411,8 @@ class ExtendedRows:
 
 def extended_rows(problem: ContactProblem) -> ExtendedRows:
     """Return the rows for extended precision, formed once and shared by `replace`."""
-    if problem._computed.extended is None:
-        problem._computed.extended = ExtendedRows(problem)
-    rows: ExtendedRows = problem._computed.extended
+    rows: ExtendedRows = problem._computed.extended or ExtendedRows(problem)
+    problem._computed.extended = rows
     return rows
 
 
@@ -448,7 +465,6 @@ class Residuals:
     gap: Extended  # (m,) g - E_N u
     tie: Extended  # (k,) b - A u
     slip: Extended | None = None  # ((d-1) m,) E_T u, where it was formed with the others
-    elastic: Extended | None = None  # (n,) K u, where it was formed apart
 
     @classmethod
     def at_rest(cls, problem: ContactProblem) -> Residuals:
@@ -460,16 +476,8 @@ class Residuals:
         return self.force.double(), self.gap.hi[closed] + self.gap.lo[closed], self.tie.double()
 
 
-def residuals_of(
-    rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer, elastic: Extended | None = None
-) -> Residuals:
-    """Return the residuals of an answer in extended precision.
-
-    Parameters
-    ----------
-    rows, problem, answer : ExtendedRows, which form them, ContactProblem, ExtendedAnswer
-    elastic : Extended (n,), K u, where it is known
-    """
+def residuals_of(rows: ExtendedRows, problem: ContactProblem, answer: ExtendedAnswer) -> Residuals:
+    """Return the residuals of an answer in extended precision, formed by these rows."""
     u, normal, tie, friction = answer.displacement, answer.normal_force, answer.tie_force, answer.friction_force
     if rows.together is not None:
         n, m, k, size = rows.ends
@@ -484,8 +492,7 @@ def residuals_of(
     if friction is not None:
         outer = outer - rows.friction_force(friction)
     gap, open_tie = extend(problem.gap) - rows.normal @ u, extend(problem.tie_value) - rows.tie @ u
-    inner = rows.stiffness @ u if elastic is None else elastic
-    return Residuals(outer - inner, gap, open_tie, elastic=inner if isinstance(rows.stiffness, SparseRows) else None)
+    return Residuals(outer - rows.stiffness @ u, gap, open_tie)
 
 
 def residuals(problem: ContactProblem, answer: Answer) -> Residuals:

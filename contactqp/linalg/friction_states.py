@@ -37,7 +37,6 @@ from contactqp.linalg.extended import (
 )
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED, independent_rows
-from contactqp.linalg.influence import elastic_after
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack
@@ -355,7 +354,7 @@ def refined_by(
     # Corrections of normal and friction forces are measured together in energy scale, as friction may be zero.
     unit, parts = np.ones(len(first)), sorted({0, n, tied} - {len(first)})
     unit[tied:pushed], unit[pushed:] = rows.normal_length, rows.tangent_length.repeat(rows.width)
-    x, elastic, size, last = extend(first), None, np.inf, np.inf
+    x, size, last = extend(first), np.inf, np.inf
     slip = (exact.slip(x[:n]) - origin).double() if in_space else origin
     directions, turning = slip_directions(rows, status, slip, pushing, given)
     system, coefficients = make(directions, turning), _coefficients(problem)[:, None]
@@ -370,7 +369,7 @@ def refined_by(
         u, tie, force, stick = x.parted(*ends)
         friction = stick + force.spread(coefficients * directions)
         if left is None:
-            left = residuals_of(exact, problem, ExtendedAnswer(u, force, friction, tie), elastic)
+            left = residuals_of(exact, problem, ExtendedAnswer(u, force, friction, tie))
         else:
             left = replace(left, force=left.force - exact.friction_force(friction - given.ravel()))
         if not in_space:
@@ -392,7 +391,6 @@ def refined_by(
         settled = size <= max(unseen, BELOW_DOUBLES) or (sweep and foreseen <= BELOW_DOUBLES)
         if settled or (size > 0.5 * last and not turns and not halves):
             break
-        elastic = None if left.elastic is None else elastic_after(problem, whole[:n], left.elastic, du)
         left = None
     u, tie, force, stick = x.parted(*ends)
     friction = stick + force.spread(coefficients * directions)

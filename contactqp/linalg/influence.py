@@ -50,7 +50,7 @@ import scipy.sparse as sp
 from contactqp.errors import Unsupported
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.dense import lower_factor
-from contactqp.linalg.extended import Extended, Residuals, extend, two_sum
+from contactqp.linalg.extended import Residuals, extend, two_sum
 from contactqp.linalg.factorization import fixing_unknowns
 from contactqp.linalg.measures import lengths
 from contactqp.linalg.runtime import lapack
@@ -98,28 +98,6 @@ def _slices(values: Array, bits: tuple[int, int]) -> tuple[Array, Array, Array]:
     rest = values - first
     second = np.ldexp(np.rint(np.ldexp(rest, bits[1])), -bits[1])
     return first, second, rest - second
-
-
-# If |K||du| is at most this part of |K||u| everywhere, K du is formed in double precision, with an error of 2^-101
-# |K||u|.
-SLIGHT = 2.0**-48
-
-
-def elastic_after(problem: ContactProblem, displacement: Vector, elastic: Extended, change: Vector) -> Extended | None:
-    """Return K (u + du) for a small change du, None if it is not small.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    displacement : (n,) array [length], u
-    elastic : Extended (n,), K u [force]
-    change : (n,) array [length], du
-    """
-    sizes = problem.stiffness_sizes
-    if not (sizes @ abs(change) <= SLIGHT * (sizes @ abs(displacement))).all():
-        return None
-    added: Vector = problem.stiffness_rows @ change
-    return elastic + added
 
 
 def plain_residuals(problem: ContactProblem, answer: Answer) -> Residuals:

@@ -14,12 +14,13 @@ from contactqp.linalg.extended import (
     ExtendedAnswer,
     ExtendedRows,
     SparseRows,
+    StiffnessRows,
+    extend,
     extended_rows,
     joined,
     residuals_of,
 )
 from contactqp.linalg.factorization import images
-from contactqp.linalg.influence import elastic_after
 from contactqp.model.computed import OfStiffness
 
 
@@ -99,18 +100,22 @@ def test_residuals_are_right_to_twice_double_precision_in_one_array_and_row_by_r
 
 def test_a_slight_change_of_a_displacement_changes_its_elastic_forces_by_a_product_of_doubles(monkeypatch):
     """K (u + du) is known to a few roundings of twice double precision; where |K||du| is more it is formed anew."""
-    monkeypatch.setattr(extended, "ONE_ARRAY", 0)
     random = np.random.default_rng(2)
     K = random.normal(size=(7, 7))
     problem = cq.ContactProblem(K @ K.T, random.normal(size=7), random.normal(size=(2, 7)), [0.1, 0.2])
-    u, normal = Extended(random.normal(size=7), 1e-18 * random.normal(size=7)), Extended(random.normal(size=2))
-    exact, answer = ExtendedRows(problem), ExtendedAnswer(u, normal, None, Extended(np.zeros(0)))
-    left = residuals_of(exact, problem, answer)
+    products, product = [], extended._product
+    monkeypatch.setattr(extended, "_product", lambda block, *given: products.append(block) or product(block, *given))
+    rows = StiffnessRows(problem.stiffness_rows, OfStiffness(sizes=problem.stiffness_sizes))
+    u = Extended(random.normal(size=7), 1e-18 * random.normal(size=7))
     change = 1e-16 * u.hi * random.normal(size=7)
-    found = elastic_after(problem, u.double(), left.elastic, change)
-    for one, (value, size) in zip(-found, missing(np.zeros(7), problem.stiffness, u + change), strict=True):
-        assert abs(Fraction(float(one.hi)) + Fraction(float(one.lo)) - value) <= 16 * extended.FINE_EPS * size
-    assert elastic_after(problem, u.double(), left.elastic, 1e3 * change) is None
+    for moved, formed in ((u, 1), (u + change, 1), (u + 2 * change, 1), (u + 1e3 * change, 2), (extend(u.double()), 3)):
+        found = rows @ moved
+        assert len(products) == formed
+        for one, (value, size) in zip(-found, missing(np.zeros(7), problem.stiffness, moved), strict=True):
+            assert abs(Fraction(float(one.hi)) + Fraction(float(one.lo)) - value) <= 16 * extended.FINE_EPS * size
+    unlike = u.hi * np.where(np.arange(7) == 3, 1e3, 1.0)  # far at one unknown alone
+    rows @ extend(unlike)
+    assert len(products) == 4
 
 
 def test_a_matrix_without_columns_makes_nothing():
