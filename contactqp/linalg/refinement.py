@@ -8,6 +8,7 @@ answer is right to the last digits of double precision as long as eps * conditio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import is_
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from contactqp.linalg.convexity import imbalance, imbalance_of_acting, made_of_m
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
+from contactqp.linalg.factorization import RIGID_FORCE
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
@@ -36,6 +38,9 @@ ROUNDED_AWAY = 2.0**-90
 CAUTION = 1e4
 # The relative size of the next correction at which refinement stops, far below the precision of doubles.
 LAST_CORRECTION = 1e-22
+# Refinement is settled where all that it still changes is at most this part of the answer, both in the root of energy:
+# a sixteenth of the noise of residuals that bounds allow for (`certificate.figures.residual_noise`).
+SETTLED = FINE_EPS / np.sqrt(RIGID_FORCE) / 16
 # Displacements below this part of the forces, both in the root of energy, are refined separately.
 SMALL = 1e-3
 
@@ -59,6 +64,7 @@ class OnSet(ExtendedAnswer):
     contraction: float  # ratio of successive corrections in refinement
     remainder: float  # the largest change by further refinement [square root of energy]
     nothing: Vector  # (m + k,) lengths of contacts and ties below which gaps are rounding
+    settled: bool  # whether `remainder` is too small to show in bounds
     cleared: float = 0.0  # relative forces by rounding of K along rigid motions
 
     @property
@@ -165,10 +171,7 @@ def _refined(
     gap = rows.gap(problem, answer.displacement)
     gaps, doubles = gap.double(), answer.double()
     return OnSet(
-        displacement=answer.displacement,
-        normal_force=answer.normal_force,
-        friction_force=None,
-        tie_force=answer.tie_force,
+        **vars(answer),
         gap=gap,
         gaps=gaps,
         lengths=lengths_that_meet(problem, problem.normal, problem.gap, doubles.displacement),
@@ -177,6 +180,7 @@ def _refined(
         contraction=q,
         remainder=remainder,
         nothing=nothing,
+        settled=remainder * (np.sqrt(problem.stiffness_sizes.size) + problem.contacts) <= SETTLED * whole,
     )
 
 
@@ -241,10 +245,8 @@ def closed_contacts(problem: ContactProblem, compliance: Vector, u: Vector, forc
     Parameters
     ----------
     problem : ContactProblem
-    compliance : (m,) array [length / force]
-        W_ii.
-    u, force : (n,), (m,) arrays
-        Displacement and normal forces of the answer.
+    compliance : (m,) array [length / force], W_ii
+    u, force : (n,), (m,) arrays, displacement and normal forces of the answer
     """
     return np.asarray((compliance * force > problem.gap - problem.normal @ u).nonzero()[0])
 
@@ -263,22 +265,24 @@ def polish(
     A correction opens contacts in tension and closes penetrated ones. In a redundant set, a penetrated dependent
     contact replaces another one, which does not count as a correction while it is affordable; then forces without
     tension are chosen if they exist, and contacts with zero force leave the set. A set that holds to rounding of
-    doubles is corrected by signs in extended precision, as long as the result also holds.
+    doubles is corrected by signs in extended precision, as long as the result also holds. An answer that
+    `without_noise` has rounded is not refined again.
 
     Parameters
     ----------
-    problem, condensation, closed, start, residual, caution
-        As in `answer_on`.
-    max_corrections : int
-        The largest number of corrections.
+    problem, condensation, closed, start, residual, caution : as in `answer_on`
+    max_corrections : int, the largest number of corrections
 
     Returns
     -------
     answer : OnSet
     corrections : int
-    holds : bool
-        Whether no contact pulls and no open one penetrates.
+    holds : bool, whether no contact pulls and no open one penetrates
     """
+    given, kept = problem._computed.of_answer.polished
+    ours = all(map(is_, given, (start, problem.load, problem.gap, problem.tie_value)))
+    if kept and ours and np.array_equal(kept.saddle.closed, closed):
+        return kept, 0, True
     seen: set[bytes] = set()
     corrections, exchanges, holding = 0, 0, None
     while True:
@@ -432,7 +436,7 @@ def _without_tension(condensation: Condensation, answer: OnSet) -> Indices:
 
 
 def without_noise(problem: ContactProblem, condensation: Condensation, answer: OnSet) -> Answer:
-    """Return the answer on a set in double precision, with rounding errors of the refinement set to zero."""
+    """Return the answer on a set whose signs hold in doubles, with rounding errors of the refinement set to zero."""
     u, tie = answer.doubles.displacement, answer.doubles.tie_force
     push = np.where(answer.normal_force.hi > 0, answer.doubles.normal_force, 0.0)
     root = 1.0 / condensation.unknown_scale
@@ -442,7 +446,10 @@ def without_noise(problem: ContactProblem, condensation: Condensation, answer: O
     zeroed, force = zero_beneath((u, force), (root, size), INVISIBLE * largest)
     if np.any(zeroed != u):
         zeroed = np.where(root * abs(u) > INVISIBLE * longest_stated(problem), u, zeroed)
-    return Answer(zeroed, force[: len(push)], None, force[len(push) :])
+    clean = Answer(zeroed, force[: len(push)], None, force[len(push) :])
+    if answer.settled and not condensation.rigid.count:
+        problem._computed.of_answer.polished = (clean, problem.load, problem.gap, problem.tie_value), answer
+    return clean
 
 
 def least_displacement(
@@ -452,16 +459,13 @@ def least_displacement(
 
     Parameters
     ----------
-    problem, condensation, caution
-        As in `answer_on`.
+    problem, condensation, caution : as in `answer_on`
     answer : OnSet
 
     Returns
     -------
-    answer : OnSet
-        The answer there.
-    free : (n, q) array
-        An orthonormal basis of those motions.
+    answer : OnSet, the answer there
+    free : (n, q) array, an orthonormal basis of those motions
     """
     if not condensation.rigid.count:
         return answer, condensation.rigid.motions

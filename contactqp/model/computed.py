@@ -35,6 +35,7 @@ class OfAnswer:
     residuals: tuple[tuple[Any, ...], Any] | None = None  # in extended precision
     sizes: tuple[tuple[Any, ...], Any] | None = None  # forces and lengths by which residuals are measured
     inner_forces: tuple[Vector, Vector] | None = None  # linalg.measures: u and |K||u|
+    polished: tuple[tuple[Any, ...], Any] = (), None  # linalg.refinement: the answer before it was rounded
     refined: tuple[tuple[Any, ...], Any] = (), None  # linalg.friction_states: the answer before it was rounded
 
 

@@ -12,7 +12,9 @@ from benchmarks.judging import exact_truth
 from benchmarks.problem_families import family
 from contactqp.certificate import bounds as bounds_module
 from contactqp.certificate.admissible_pair import Undecided, of_penetration
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.figures import force_norm
+from contactqp.linalg import refinement
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.extended import extend
 from contactqp.linalg.refinement import polish
@@ -321,3 +323,24 @@ def test_ties_that_move_bodies_without_a_force_are_proven(weight: float, ahead: 
         + np.linalg.lstsq(np.vstack([rows, np.eye(3 * steps)[-1:]]), np.r_[np.zeros(2 * steps), 1e-3], rcond=None)[0]
     )
     assert not cq.certify(plan, thrusting, solution.normal_force, tie_force=solution.tie_force).passed
+
+
+@pytest.mark.parametrize("load", [[60.0, -100.0], [60.0, 100.0], [1e-9, -1e9]], ids=["pushed", "lifted", "pushed hard"])
+def test_the_certificate_of_a_solution_takes_its_refined_answer_with_bounds_as_sharp_and_as_right(load, monkeypatch):
+    """A small answer refined to far below the rounding of doubles is not refined again; another load's or copy's is."""
+    sweeps, refined = [], refinement._refined
+    monkeypatch.setattr(refinement, "_refined", lambda *given, **more: sweeps.append(1) or refined(*given, **more))
+    problem = cq.ContactProblem([[59803.0, 6883.1], [6883.1, 77443.0]], load, [[0.0, -1.0]], [1e-3])
+    solution = cq.solve(problem)
+    assert len(sweeps) == 1
+    fresh = cq.certify(problem, solution.displacement, solution.normal_force)
+    assert len(sweeps) == 2
+    truth, _ = exact_truth(problem, solution)
+    wrong = Fraction(float(solution.normal_force[0])) - Fraction(int(truth.force[0, 0].p), int(truth.force[0, 0].q))
+    found = solution.certificate
+    assert found.proven
+    assert abs(wrong) <= Fraction(float(found.force_bound[0]))
+    assert found.energy_error == pytest.approx(fresh.energy_error, rel=1e-3, abs=1e-27)
+    assert found.force_bound == pytest.approx(fresh.force_bound, rel=0.1)
+    assert not certificate_of(problem.replace(load=[1.0, -2.0]), solution.answer).passed
+    assert len(sweeps) > 2
