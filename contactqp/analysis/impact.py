@@ -67,20 +67,22 @@ def impact(
     problem : ContactProblem
         K, rows, gaps, ties and friction; `problem.load` is the load unless `load` is given.
     mass : (n, n) matrix or (n,) diagonal [force time^2 / length]
-        M, symmetric positive semidefinite; singular only where the scheme allows it. That of bodies is `system.mass()`.
+        M, symmetric positive semidefinite, and singular only where the scheme allows it. For bodies, `system.mass()`
+        returns it.
     displacement, velocity : (n,) arrays [length], [length / time]
-        u and v at the start, within the constraints. Of a single unknown these and the mass may be numbers.
+        u and v at the start, which must satisfy the constraints. For a single unknown these and the mass may be
+        numbers.
     duration, time_step : float
         The motion has ceil(duration / time_step) steps, at least one: the step is no longer than the duration.
     scheme : str
         "moreau-jean": impulses and Newton's impact law (`theta`, `restitution`); robust, first order at contact.
-        "modified-mass": trapezoidal rule, contact nodes without mass (taken from M by `redistributed_mass` where M has
-        not been); no oscillations of a contact node's own mass, energy kept. "modified-mass-central": the same with
-        central differences, explicit but for the contact nodes. "paoli-schatzman": central differences with a
-        projection (`restitution`). "deuflhard-krause-ertel": contact-stabilised Newmark, for bodies: single masses
-        stay at their stop. "newmark": the trapezoidal rule with Signorini's conditions at the end of the step; its
-        energy blows up at impacts. "backward-euler": loses energy everywhere. "penalty": central differences with
-        contact springs `penalty`.
+        "modified-mass": trapezoidal rule, contact nodes without mass (`redistributed_mass` moves their mass to other
+        nodes unless M has none there); contact nodes do not oscillate, and energy is conserved.
+        "modified-mass-central": the same with central differences, explicit but for the contact nodes.
+        "paoli-schatzman": central differences with a projection (`restitution`). "deuflhard-krause-ertel":
+        contact-stabilised Newmark, for bodies: single masses stay at their stop. "newmark": the trapezoidal rule with
+        Signorini's conditions at the end of the step; its energy blows up at impacts. "backward-euler": loses energy
+        everywhere. "penalty": central differences with contact springs `penalty`.
     load : function of time, optional
         The function returns the load f (n,) [force] at an instant [time].
     theta : float
@@ -90,7 +92,7 @@ def impact(
     penalty : float, needed by the scheme "penalty"
         The stiffness of its contact springs [force / length]; other schemes refuse one.
     start_time : float
-        The time of the start. `MotionHistory.resume` goes on from where a motion ended, or failed.
+        The time of the start. `MotionHistory.resume` continues a motion from where it ended or failed.
     method, **options
         The method for the small problem of each step, any exact one, and its options, as in `solve`.
 
@@ -109,10 +111,10 @@ def impact(
     Raises
     ------
     InvalidProblem
-        Bad arguments; a start that overlaps; a mass that the scheme cannot use; central differences with a step beyond
-        their critical one.
+        An argument is invalid, bodies overlap at the start, the scheme cannot use this mass, or the step of central
+        differences is longer than their critical step.
     NotConverged, NotCertified
-        A step has no answer, or a wrong one, or the motion overflows; `history` is the motion so far.
+        A step has no answer or a wrong one, or the motion overflows; `history` is the motion so far.
     Unsupported
         A method that is approximate by design; friction with penalty.
 

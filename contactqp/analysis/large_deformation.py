@@ -70,10 +70,10 @@ def large_deformation(
         The number of equal steps in a leg. With control="load" a step that does not converge is halved, and so are its
         halves, four times at most; all of them stand in the history.
     control : "load", "displacement" or "arc-length"
-        With the two others the load factor is an unknown: the load is that factor times `loads[0]`, the only corner,
-        and the path is followed through limit points, unstable equilibria included. Contacts close and open at points
-        of their own. "displacement" moves the unknown `controlled` to `target` in equal steps; "arc-length" takes
-        `steps` steps of `arc_length`.
+        With the other two the load factor is an unknown: the load is that factor times `loads[0]`, the only corner, and
+        the path is followed through limit points, unstable equilibria included. Points at which contacts close and open
+        are added to the path. "displacement" moves the unknown `controlled` to `target` in equal steps; "arc-length"
+        takes `steps` steps of `arc_length`.
     method : str
         The method of `solve` for the steps. Where a tangent is indefinite only "active-set" goes on: the others are
         convex and raise Unsupported.
@@ -82,19 +82,19 @@ def large_deformation(
     tie_values : sequence of (k,) arrays, optional
         b at the corners, one for each of `loads`, from A u of the start; without them A u stays what it is.
     friction : float or (m,) array, optional
-        Coulomb's coefficient. The slip of a step is counted from where the contact was at the step before, or from
-        where it lands within the step, along the tangents of now: exact on planes, of the chord on curved obstacles,
-        where convergence is then linear. Of several that land within one step each is taken to land as if the others
-        did not: take steps so short that they land one by one.
+        Coulomb's coefficient. The slip of a step is measured from where the contact was at the end of the previous
+        step, or from where it lands within the step, along the current tangents. This is exact on planes; on curved
+        obstacles it is the slip along the chord, and convergence is linear. If several contacts land within one step,
+        each is treated as if the others did not land; steps should be so short that they land one at a time.
     start : (n,) array or LargeSolution, optional
-        A displacement to start from, at no load, or an equilibrium of an earlier history with this program, from whose
-        load factor the steps that are left go on.
+        A displacement to start from, at no load, or an equilibrium of an earlier history with this program; the
+        remaining steps then start at its load factor.
     controlled, target : int and float, optional
         The place of an unknown in u, and where it ends [length].
     arc_length : float, optional
         The length of a step [length]: its square is |u - u_0|^2 + s^2 (t - t_0)^2, where s is the length of the
-        displacement that a unit of load makes at the start. By default sqrt(2) s / steps: `steps` of them come to t = 1
-        if nothing softens.
+        displacement that a unit of load makes at the start. The default is sqrt(2) s / steps, so that `steps` of them
+        reach t = 1 if the stiffness does not change.
     tolerance : float
         The largest admissible ratio of the forces out of balance to the largest force, and of gaps to the largest
         displacement.
@@ -107,32 +107,33 @@ def large_deformation(
     -------
     LargeHistory
         The start and every step; with arc length and displacement control every contact event too, and `limit_points`,
-        where the load is greatest or least, to rounding. `times` are load factors, `iterations` what each iteration
-        left. `notes` say where the path snaps through (the displacement jumps: to the next equilibrium down the energy;
-        with friction between two steps, whose number then decides where contacts land and slip), where several contacts
-        with friction land within one step, where equilibria are unstable, and where others branch off.
+        where the load is greatest or least, to rounding. `times` are load factors, and `iterations` has the residual of
+        each iteration. `notes` say where the path snaps through (the displacement jumps: to the next equilibrium down
+        the energy; with friction between two steps, whose number then decides where contacts land and slip), where
+        several contacts with friction land within one step, where equilibria are unstable, and where others branch off.
 
     Raises
     ------
     NotConverged
-        No convergence, a body turned inside out, a lost contact pair. `history` holds the equilibria so far, and
-        `start=error.history[-1]` resumes from there.
+        Newton's method does not converge, a body is turned inside out, or a pair of contact surfaces is lost. `history`
+        holds the equilibria so far, and `start=error.history[-1]` resumes from there.
     NotCertified
         The certificate refuses the last step of an equilibrium.
     Unsupported
-        Arc length or displacement control with friction or another method than "active-set"; an indefinite tangent with
-        a convex method, or with friction in space; friction with an approximate method.
+        Arc length or displacement control is combined with friction or with another method than "active-set"; the
+        tangent is indefinite and the method is convex, or there is friction in space; or the method is approximate and
+        there is friction.
     InvalidProblem
         Inconsistent arguments.
 
     Notes
     -----
-    Course section 2.5, (2.94)-(2.104), with minus both contact terms in (2.98). Steps are halved until the merit
-    W - f'u + w (overlaps + |A u - b|) falls, w above the largest force. If a motion with closed contacts has negative
-    energy, the step uses tangent + shift 1 (`NewtonIteration.shift`),
-    which gives a descent direction and changes no equilibrium. If the tangent is indefinite but those motions have
-    positive energy, the step is solved on its closed set. With an approximate method (penalty) the equilibria are those
-    of its contact springs, whose stored energy is not included in the energies.
+    These are (2.94)-(2.104) of the course chapter, with the signs of both contact terms in (2.98) reversed. Steps are
+    halved until the merit W - f'u + w (overlaps + |A u - b|) falls, w above the largest force. If a motion with closed
+    contacts has negative energy, the step uses tangent + shift 1 (`NewtonIteration.shift`), which gives a descent
+    direction and changes no equilibrium. If the tangent is indefinite but those motions have positive energy, the step
+    is solved on its closed set. With an approximate method (penalty) the equilibria are those of its contact springs,
+    whose stored energy is not included in the energies.
 
     Examples
     --------

@@ -65,7 +65,8 @@ def follow_path(
     loads : sequence of (n,) arrays [force]
         The corners of the path.
     steps : int, optional
-        Equal steps a leg, 100 by default; with ``events="exact"`` none but the events and the corners by default.
+        The number of equal steps in a leg, 100 by default; with ``events="exact"`` the default is to stop at events and
+        corners only.
     events : None or "exact"
         None reports a change of state at the first step that shows it. "exact" finds its time exactly: between
         changes the displacement is linear in the load. With friction in the plane a contact closes or opens where its
@@ -75,27 +76,28 @@ def follow_path(
         As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
         stick and slip (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex
         method of the fixed point that it falls back to. A textbook method with systems of stick and slip takes the
-        steps itself. The penalty and perturbed Lagrangian methods are Coulomb's law of bodies with contact springs,
-        whose path is followed, in steps or from event to event: what slips are the sliders behind the springs, a slip
-        origin is where they were, elastic energy is in bodies and springs, and the certificate of each solution says
-        how far it is from rigid contact. Without friction they have steps alone.
+        steps itself. With the penalty and perturbed Lagrangian methods the path is that of bodies on contact springs,
+        in steps or from event to event: the sliders behind the springs slip, a slip origin is where they were, elastic
+        energy is stored in bodies and springs, and the certificate of each solution says how far it is from rigid
+        contact. Without friction these methods take steps only.
 
     Returns
     -------
     History
         The start and every step (``steps=40`` gives 41 solutions on one leg), and every event; a contact that closes
-        and slips at once has two. Where all contacts are condensed onto, a step runs on the contact unknowns; it is
-        polished, expanded and certified on first access, and refused then if it must be. Very many contacts,
-        bodies that are not factorised, and friction with two tangential directions are solved step by step at once.
+        and slips at once has two. Where the problem is condensed onto all contacts, a step is solved for the contact
+        unknowns alone; it is polished, expanded and certified on first access, which may raise NotCertified. With very
+        many contacts, with bodies that are not factorised, and with friction in two tangential directions, every step
+        is solved and certified at once.
 
     Raises
     ------
     Unsupported
-        Exact events of an approximate method without friction, if the motion jumps, or with friction and two tangents
-        per contact; friction that `solve` does not support.
+        Exact events are asked for with an approximate method without friction, where the motion jumps, or with friction
+        and two tangents per contact; or `solve` does not support this friction.
     NoEquilibrium
-        At the first load without equilibrium. With friction and exact events also if no rates continue the path (a
-        snap); the message has the pseudo-time and the contacts. Steps may find a state beyond it, with a note in
+        There is no equilibrium at some load or, with friction and exact events, no rates continue the path (the body
+        snaps); the message has the pseudo-time and the contacts. Steps may find a state beyond the snap, with a note in
         `History.notes`.
     SeveralEquilibria
         With friction above a critical coefficient and exact events, several rates continue the path. This is detected

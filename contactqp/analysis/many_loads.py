@@ -78,7 +78,7 @@ def solve_many(
     Parameters
     ----------
     problem : ContactProblem
-        What is not given for each case is that of the problem.
+        It provides what is not given for each case.
     loads : (N, n) array or sparse matrix, optional
         A load for each case [force]. An array of doubles is not copied.
     gaps : (N, m) array, optional
@@ -100,7 +100,7 @@ def solve_many(
     Raises
     ------
     InvalidProblem
-        A wrong shape, or a number that is not finite; the message has the case.
+        An array has a wrong shape or a number that is not finite; the message names the case.
     BackendMissing, Unsupported
         The method is not installed, or cannot do this.
 
@@ -334,7 +334,7 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
     Parameters
     ----------
     problem : ContactProblem
-        What is not varied is its own.
+        It provides what is not varied.
     of : str
         "displacement", "normal_force", "friction_force", "tie_force", "gap", "slip" or "energy".
     varied : sequence of str
@@ -349,7 +349,7 @@ def differentiable(problem: ContactProblem, of: str, varied: Sequence[str], fram
     BackendMissing
         The framework is not installed.
     InvalidProblem
-        An unknown name; JAX computes in single precision.
+        A name is unknown, or JAX computes in single precision.
 
     Examples
     --------

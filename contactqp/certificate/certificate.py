@@ -110,7 +110,7 @@ def compute_certificate(
     Raises
     ------
     InvalidProblem
-        Wrong shapes, missing forces, or an indefinite stiffness. An answer with NaN is no error: it is refused.
+        Shapes are wrong, forces are missing, or the stiffness is indefinite. An answer with NaN is refused.
     Unsupported : a body too large to factorise has rigid motions that `near_null_space` does not state
 
     Examples

@@ -81,9 +81,9 @@ def pair_mortar(
     Raises
     ------
     InvalidProblem
-        Axisymmetric bodies; quadratic facets (their trace is not linear on any split, which the patch test would
-        show); an argument that is no Surface; surfaces that share a node or do not face each other; overlap; master
-        facets behind each other.
+        The bodies are axisymmetric; facets are quadratic (their trace is not linear on any split, which the patch test
+        would show); an argument is no Surface; the surfaces share a node, do not face each other or overlap; or master
+        facets lie behind each other.
     """
     for surface in (slave, master):
         check_surface(surface)

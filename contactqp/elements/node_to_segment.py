@@ -373,7 +373,7 @@ def pair_node_to_segment(
     Raises
     ------
     InvalidProblem
-        An argument that is no Surface, surfaces that share a node, no slave node that faces a master facet, overlap.
+        An argument is no Surface, the surfaces share a node, no slave node faces a master facet, or the bodies overlap.
     """
     check_surface(slave)
     check_surface(master)

@@ -200,8 +200,7 @@ def pair(
     Raises
     ------
     InvalidProblem
-        Shapes that do not fit, numbers that are not finite, unknowns out of range, a point where the obstacle has no
-        normal.
+        Shapes do not fit, numbers are not finite, unknowns are out of range, or the obstacle has no normal at a point.
 
     Warns
     -----
@@ -321,7 +320,7 @@ def pair_scalar(
     Raises
     ------
     InvalidProblem
-        Shapes that do not fit, heights that are NaN or infinite on the membrane's side, unknowns out of range.
+        Shapes do not fit, heights are NaN or infinite on the membrane's side, or unknowns are out of range.
 
     Examples
     --------

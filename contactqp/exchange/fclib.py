@@ -226,9 +226,9 @@ def read_fclib(path: Path, *, as_stored: bool = False) -> ContactProblem | Local
     Raises
     ------
     InvalidProblem
-        No such file, no HDF5, no FCLIB, a dataset that is missing, too short, out of range or not finite.
+        The file is missing, no HDF5 or no FCLIB, or a dataset is missing, too short, out of range or not finite.
     Unsupported
-        Contacts that resist rolling.
+        Contacts resist rolling.
     BackendMissing
         h5py is not installed.
     """

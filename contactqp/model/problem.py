@@ -5,7 +5,8 @@
                 A u = b           k ties
 
 Its solution satisfies K u + E_N' l_N + E_T' l_T + A' nu = f with l_N >= 0, l_N (g - E_N u) = 0: the multiplier l_N is a
-FORCE, positive in compression. With friction, |l_T| <= mu l_N and l_T points along the slip s = E_T u - slip_origin.
+FORCE, positive in compression. With friction, |l_T| <= mu l_N, and l_T = mu l_N s/|s| where s = E_T u - slip_origin is
+not 0: l_T is what the body does to the obstacle, along its slip, and the friction on the body is -E_T' l_T.
 """
 
 from __future__ import annotations
@@ -419,9 +420,7 @@ class ContactProblem:
 
     @cached_property
     def _is_near_one(self) -> bool:
-        """Return whether all unknowns have stiffness and no number is far from one; otherwise `number_range`
-        rescales.
-        """
+        """Return whether all unknowns have stiffness and no number is far from one; else `number_range` rescales."""
         rows = [one.data for one in (self.normal, self.tie, self.tangent) if one is not None]
         lengths = [self.gap, self.tie_value, *([] if self.slip_origin is None else [self.slip_origin.ravel()])]
         largest = abs(np.concatenate([self.load, *lengths])).max(keepdims=True)

@@ -173,7 +173,8 @@ def certify(
     error_tolerance : float
         Largest bound on the relative error that passes.
     factorization : Condensation, optional
-        Reused instead of factorising again; the residuals that decide are formed from the problem all the same.
+        A factorisation of this stiffness to be reused; the residuals that decide are formed from the problem all the
+        same.
     compression : "positive" or "negative"
         The sign of the given normal forces that means compression.
     pressure_area : (m,) array [length^2, or length], optional
@@ -185,8 +186,8 @@ def certify(
     Raises
     ------
     InvalidProblem
-        Neither displacement nor normal force, wrong shapes or maps, or an indefinite stiffness. NaN is no error here:
-        it fails.
+        Neither displacement nor normal force is given, shapes or maps are wrong, or the stiffness is indefinite. An
+        answer with NaN raises nothing; it does not pass.
     Unsupported
         A body too large to factorise floats along motions that are not stated, or only forces are given for such a
         body.

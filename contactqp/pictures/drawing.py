@@ -259,9 +259,9 @@ def figure(fields: ContactFields, *, scale: float | None = None, title: str = ""
     ----------
     fields : ContactFields
     scale : float, optional
-        How many times displacements are magnified; by default as many as make them visible, 1 where they are. The
-        title states it. Gaps are those between the bodies as they are drawn: magnified bodies that met across a gap
-        overlap in the picture.
+        The factor by which displacements are magnified; by default it makes them visible, and is 1 where they are
+        visible as they are. The title states it. Gaps are drawn between the magnified bodies, so that bodies that met
+        across a gap overlap in the picture.
     title : str
         The title of the picture.
 

@@ -44,8 +44,8 @@ def equilibria(problem: LocalProblem) -> tuple[LocalSolution, ...]: ...
 def equilibria(problem: ContactProblem | LocalProblem) -> tuple[Solution, ...] | tuple[LocalSolution, ...]:
     """Return all states of a frictional problem in the plane that satisfy equilibrium, contact and Coulomb's law.
 
-    Above a critical coefficient of friction a problem may have none, several, or a continuum of which some members are
-    returned. All combinations of open, stick and slip are tried (`contactqp.solving.friction.enumeration`).
+    Above a critical coefficient of friction a problem may have no equilibrium, several, or a continuum, of which some
+    members are returned. All combinations of open, stick and slip are tried (`contactqp.solving.friction.enumeration`).
 
     Parameters
     ----------
@@ -200,7 +200,8 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     Raises
     ------
     InvalidProblem
-        A contact problem without friction: the minimum exists where the constraints do not conflict.
+        The problem is a contact problem without friction, whose minimum exists wherever the constraints do not
+        conflict.
     Unsupported
         Bodies float, or a local problem has joints without compliance, which the theorem excludes.
     BackendMissing, BackendFailed

@@ -83,13 +83,13 @@ def solve_local(
         As in `contactqp.solve`; a `method` other than the default one takes the convex steps of "aclm" unless an
         `algorithm` is named.
     warm_start : LocalSolution, optional
-        Of a problem with the same numbers of contacts and joints.
+        The solution of a problem with the same numbers of contacts and joints.
 
     Raises
     ------
     NoEquilibrium
-        Enumeration, asked for or the last resort in the plane, finds no answer; or no forces balance the load, or open
-        all contacts.
+        Enumeration, if asked for or as the last resort in the plane, finds no answer; or no forces balance the load or
+        open all contacts.
     SeveralEquilibria
         Enumeration was asked for and finds several answers.
     NotConverged

@@ -145,11 +145,11 @@ def solve(
         plane, at most eight contacts). All end by solving to the last digit on their combination of open, stick and
         slip, whatever `polish` is, and `max_iter` counts their steps. By default Newton's method is tried first where
         there is a `warm_start` and, in the plane, where sparse systems are used; then the others, one after another.
-        Where there are several equilibria, one of them is returned (by "enumeration" none), and
+        Where there are several equilibria, one of them is returned ("enumeration" raises SeveralEquilibria), and
         `certificate.uniqueness` says that there are or may be others; `contactqp.equilibria` lists them, and
-        `contactqp.exact_equilibria` does so in rational numbers.
-        "associated" solves the convex relaxation in which sliding dilates (`contactqp.solving.friction.associated`). It
-        is approximate by design: its answer is returned although the certificate refuses it where anything slides.
+        `contactqp.exact_equilibria` does so in rational numbers. "associated" solves the convex relaxation in which
+        sliding dilates (`contactqp.solving.friction.associated`). It is approximate by design: its answer is returned
+        although the certificate refuses it where anything slides.
     progress : callable, optional
         Called with a short text on the current stage, such as ``"condense"`` or ``"contact set 3: 577 closed"``,
         whenever the stage changes. An exception that it raises ends the call.

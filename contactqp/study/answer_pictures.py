@@ -238,9 +238,9 @@ def draw(
     title : str
         The title of the picture.
     scale : float, optional
-        How many times displacements of bodies and structures are magnified; by default as many as make them visible,
-        and bodies that meet across a gap, or that an interference presses together, overlap or part by no more than a
-        five-hundredth of their size. The title states it. Membranes, histories and bars of forces have no scale.
+        The factor by which displacements of bodies and structures are magnified. By default it makes them visible, and
+        bodies that meet across a gap, or that an interference presses together, overlap or part in the picture by no
+        more than a five-hundredth of their size. The title states it. Membranes, histories and bars have none.
     time_unit : str
         Unit of the times of a motion, for labels.
     names : sequence of str, optional
@@ -249,7 +249,7 @@ def draw(
     Returns
     -------
     matplotlib.figure.Figure
-        In a notebook it shows itself.
+        The figure, which a notebook shows.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def draw(
         The suffix is unknown, the folder does not exist, the answer is no Solution, History or Solutions, or it is not
         one of this system or this scene.
     Unsupported
-        Numbers so large or so far apart that matplotlib has no axes for them.
+        The numbers are so large or so far apart that matplotlib has no axes for them.
     BackendMissing
         matplotlib is not installed.
 

@@ -69,30 +69,32 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
     ----------
     problem : ContactProblem or Scene
         A problem's floats are taken as they stand, the stiffness as it was symmetrised. The numbers of a scene of nodes
-        are read exactly: 1 mm is 1/1000 m, and 0.1 is 1/10. A scene's answer is the one under its full load; with
-        friction and a load path, the one at the end of the path. Of a scene with elastic bodies the floats of the
+        are read exactly: 1 mm is 1/1000 m, and 0.1 is 1/10. The answer to a scene is the one under its full load or,
+        with friction and a load path, the one at the end of the path. For a scene with elastic bodies the floats of the
         assembled problem are taken as they stand.
     method : str
         A name of `contactqp.methods()`, which proposes the contact states.
     enclose : bool, optional
-        Of a problem's floats, whether to enclose or to compute in rational numbers; by default rational numbers up to
-        300 unknowns and contacts. What just touches an enclosure cannot decide: then fractions of small denominators
-        are looked for and proven (`contactqp.oracle.exact.reconstructed_answer`), at last in rational numbers up to
-        700.
+        Whether the answer to a problem is enclosed instead of computed in rational numbers; by default problems of up
+        to 300 unknowns and contacts are computed in rational numbers. An enclosure cannot decide about contacts that
+        just touch: fractions with small denominators are then looked for and proven
+        (`contactqp.oracle.exact.reconstructed_answer`), and the last resort are rational numbers, up to 700 unknowns
+        and contacts.
     **options
         Of `contactqp.solve`.
 
     Raises
     ------
     NoEquilibrium
-        Proven: the constraints conflict, or the load drives a motion that nothing resists.
+        The constraints provably conflict, or the load drives a motion that nothing resists.
     SeveralEquilibria
         A load path with friction has several continuations.
     NotCertified, NotConverged
         No proof was found.
     Unsupported
-        Motions and large deformations, friction on paths of bodies or with irrational numbers, irrational slip
-        directions; a stiffness that is indefinite by rounding, or was printed and is singular up to rounding only.
+        The scene is a motion or a large deformation; there is friction on a load path of bodies, with irrational
+        numbers, or with irrational slip directions; or the stiffness is indefinite by rounding, or was printed and is
+        singular only up to rounding.
     BackendMissing
         python-flint is not installed.
 

@@ -300,16 +300,16 @@ def refine(
     method, **options
         As in `contactqp.solve`, for the magnified problems.
     digits : int
-        Residuals relative to the load and to the lengths of the problem, at most 90.
+        The number of digits of the residuals, relative to the load and to the lengths of the problem, at most 90.
     first : Solution, optional
-        In doubles, if known.
+        The solution in doubles, if it is known.
 
     Raises
     ------
     NotConverged
         Residuals do not decrease enough: the contact set keeps changing, or the data are too ill-conditioned.
     InvalidProblem, Unsupported
-        Too many digits; friction.
+        Too many digits are asked for, or there is friction.
     NoEquilibrium, NotCertified
         Raised by the first solution.
 

@@ -123,10 +123,11 @@ class Deck:
         Parameters
         ----------
         enforcement : str
-            ``"exact"``: no overlap, as HARD says, whatever stiffness the deck states. ``"penalty"``: the problem that a
-            deck with PRESSURE-OVERCLOSURE=LINEAR states: each contact rests on a spring of that stiffness times its
-            area, an unknown ``"spring of node 17"`` that is behind all others in u; HARD is taken as CalculiX takes it,
-            as LINEAR with 50 times the largest Young's modulus. A stick slope makes springs along the surface likewise.
+            ``"exact"`` admits no overlap, as HARD says, whatever stiffness the deck states. ``"penalty"``: the problem
+            that a deck with PRESSURE-OVERCLOSURE=LINEAR states: each contact rests on a spring of that stiffness times
+            its area, an unknown ``"spring of node 17"`` that is behind all others in u; HARD is taken as CalculiX takes
+            it, as LINEAR with 50 times the largest Young's modulus. A stick slope makes springs along the surface
+            likewise.
         discretisation : str
             ``"node-to-segment"``: no slave node overlaps. ``"mortar"``: no overlap on the average over each slave
             node's share of the surface, for pairs of linear faces that are not axisymmetric; others stay as they are.
@@ -141,7 +142,7 @@ class Deck:
         Raises
         ------
         InvalidProblem
-            A deck whose nodes are all held; elements, surfaces or pairs that are none, by line.
+            All nodes of the deck are held, or elements, surfaces or pairs are invalid; the message has the line.
         """
         return self._problem(enforcement, discretisation, self._slipped(enforcement, discretisation))
 

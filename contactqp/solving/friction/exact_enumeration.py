@@ -158,17 +158,17 @@ def exact_equilibria(problem: ContactProblem, **exact: Any) -> tuple[ExactEquili
     Returns
     -------
     tuple of ExactEquilibrium
-        One for each displacement; empty where there is none: then no equilibrium exists. Of a continuum of
-        displacements one member is given for each combination of states that has one. Motions that nothing resists,
-        contacts included, are left out: the displacement is the one of least norm.
+        One equilibrium for each displacement; the tuple is empty where no equilibrium exists. For a continuum of
+        displacements one member is given for each combination of states that has one. Motions that nothing resists, not
+        even contacts, are left out: the displacement is the one of least norm.
 
     Raises
     ------
     InvalidProblem
         There is no friction, or an exact value does not belong to the problem.
     Unsupported
-        Too many contacts or unknowns, as of a meshed body, or two tangential rows a contact: `contactqp.equilibria`
-        lists, in doubles, the equilibria of at most eight contacts on any number of unknowns.
+        There are too many contacts or unknowns, as for a meshed body, or two tangential rows a contact.
+        `contactqp.equilibria` lists, in doubles, the equilibria of at most eight contacts on any number of unknowns.
 
     Examples
     --------
