@@ -458,11 +458,11 @@ def _energy(state: ClosedState) -> tuple[float, float, float]:
     problem, answer = state.problem, state.answer
     u, doubles, load = answer.displacement, answer.double(), extend(problem.load)
     outer = load - extended_rows(problem).contact_force(answer.normal_force, answer.tie_force)
-    elastic = 0.5 * u.dot(outer - state.left.force)
-    work = u.dot(load)
+    elastic, work = 0.5 * u.dot(outer - state.left.force), u.dot(load)
     lifted = abs(doubles.normal_force @ problem.gap) + abs(doubles.tie_force @ problem.tie_value)
-    least = least_length(problem, state.closed) * float(np.max(problem.load_size, initial=0.0))
-    least = max(least, NOTHING_BY_DEFAULT * work_that_meets(problem, doubles))
+    imposed = float(abs(np.append(problem.gap[state.closed], problem.tie_value)).max(initial=0.0))
+    least = max(least_length(problem, state.closed), NOTHING_BY_DEFAULT * imposed)
+    least = max(least * np.max(problem.load_size, initial=0.0), NOTHING_BY_DEFAULT * work_that_meets(problem, doubles))
     return elastic - work, max(elastic, abs(work), least) or float(lifted), elastic
 
 

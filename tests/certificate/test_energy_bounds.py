@@ -390,3 +390,30 @@ def test_bounds_of_the_energy_are_rounded_outward() -> None:
     assert Fraction(found[0]) < least < Fraction(found[1])
     assert found[0] < solution.energy < found[1]
     assert found[1] - found[0] < 1e-14 * abs(solution.energy)
+
+
+@pytest.mark.parametrize("seed", [1, 13, 56, 205])
+def test_a_least_energy_of_zero_is_no_reason_to_refuse(seed: int) -> None:
+    """No unknown with a cost is moved, so that all terms of the energy vanish: one in four of these was refused.
+
+    The energies are compared with the largest load times the largest length that ties impose; `cq.exact` has 0 for all.
+    """
+    rng = np.random.default_rng(seed)
+    unknowns = int(rng.integers(12, 30))
+    ties = np.zeros((unknowns // 3, unknowns))
+    for row in ties:
+        at = rng.choice(unknowns, 4, replace=False)
+        row[at] = np.round(rng.uniform(-9, 9, 4) * 10.0 ** rng.integers(-5, 4, 4), 6)
+    moved = rng.random(unknowns) < 0.4
+    x = np.round(rng.uniform(0, 100, unknowns), 1) * moved
+    cost = np.where(moved, 0.0, np.round(rng.uniform(0, 10, unknowns), 1))
+    nothing = np.zeros((unknowns, unknowns))
+    program = cq.ContactProblem.from_qp(nothing, cost, A=ties, b=np.round(ties @ x, 6), lb=np.zeros(unknowns))
+    solution = cq.solve(program)
+    lower, upper = solution.certificate.energy_bounds
+    assert solution.certificate.proven
+    assert lower <= 0.0 <= upper
+    assert abs(solution.energy) <= upper < 1e-9
+    i = int(np.flatnonzero(cost)[0])
+    wrong = np.where(np.arange(unknowns) == i, 1e-3, solution.displacement)
+    assert not cq.certify(program, wrong, solution.normal_force, tie_force=solution.tie_force).passed
