@@ -384,6 +384,15 @@ class Band:
         return solve
 
 
+def in_narrow_band(stiffness: Any, rows: Any) -> bool:
+    """Return whether reverse Cuthill-McKee order makes the saddle point of a stiffness and rows a narrow band."""
+    count = rows.shape[0]
+    if stiffness.nnz + 2 * rows.nnz > ENTRIES_OF_NARROW * (stiffness.shape[0] + count):
+        return False
+    saddle = sp.bmat([[stiffness, rows.T], [rows, sp.csr_matrix((count, count))]], format="csc")
+    return Band(saddle).width <= NARROW
+
+
 def with_pivots(matrix: Any) -> Callable[[Vector], Vector]:
     """Return a function that solves with a sparse symmetric matrix by LAPACK's factors of its band, with row exchanges.
 

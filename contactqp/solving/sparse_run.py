@@ -18,26 +18,15 @@ import scipy.sparse as sp
 from contactqp.certificate.energy_bounds import contradictory, doubtful, narrow, narrowed, nearer, ran_away
 from contactqp.certificate.uniqueness import unique_on
 from contactqp.errors import BackendFailed, BackendMissing, NotCertified, NotConverged, Unsupported
-from contactqp.linalg import equilibration, least_norm, pardiso
+from contactqp.linalg import equilibration, existence, least_norm, pardiso
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.convexity import least_solution
 from contactqp.linalg.equilibration import Scaling, balanced, equilibrated, in_range, mostly_bare, nearest_bounds
-from contactqp.linalg.existence import (
-    DRIVEN,
-    IDLE_SLACK,
-    NO_PART,
-    PROJECTIONS,
-    conflict_of,
-    refuse_drive_along,
-    refuse_proven,
-    refuse_sparse_conflict,
-    refuse_sparse_drive,
-)
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.interior_point import remember, solved_from
 from contactqp.linalg.iteration import Systems, held_by_hierarchy, iteration, systems_of
 from contactqp.linalg.refinement import pushing_contacts
-from contactqp.linalg.schur import LARGE
+from contactqp.linalg.schur import LARGE, in_narrow_band
 from contactqp.linalg.sparse_saddle import SYSTEMS_AT_FIRST, WASTED, WASTED_AT_FIRST, ClosedState, Effort
 from contactqp.model.arrays import (
     METHOD,
@@ -60,7 +49,8 @@ from contactqp.solving.runs import Run, after, described
 
 # Backends that identify the closed contacts, tried in this order, each with its tolerance and whether the problem is
 # equilibrated first. Clarabel scales the original problem best, and its factors have the least fill-in with general
-# rows; with bounds only, PIQP's factors are those of K, or of the ties where K is diagonal.
+# rows; with bounds only, PIQP's factors are those of K, or of the ties where K is diagonal. In narrow bands they are as
+# few, and PIQP identifies contacts at nearly dependent rows, for which Clarabel is run twice.
 OWN, EQUILIBRATED, BALANCED_UNITS = range(3)
 IDENTIFICATIONS = (
     ("clarabel", 1e-9, OWN),
@@ -69,7 +59,7 @@ IDENTIFICATIONS = (
     ("clarabel", 1e-11, BALANCED_UNITS),
     ("piqp", 1e-11, OWN),
 )
-OF_BOUNDS = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
+OF_FEW_ENTRIES = (("piqp", 1e-9, EQUILIBRATED), *IDENTIFICATIONS)
 NEARER = 1e-11  # a tighter tolerance if the first answer does not identify the set
 # If its factorisation broke down, Clarabel is run on the equilibrated problem, with more rounds of scaling than its own
 # 10, and its answer is refined for this many steps before other backends are tried. The same applies if it stops early
@@ -189,9 +179,8 @@ class SparseRun(Run):
             yield replace(settings.warm_start, iterations=0)
         elif (found := _by_iteration(self.problem, settings)) is not None:
             yield found
-        bounded = bool(np.all(np.diff(self.problem.normal.indptr) == 1))
-        bounded = bounded and (not self.problem.ties or _separate(self.problem))
-        order, steps, nearly_dependent = list(OF_BOUNDS if bounded else IDENTIFICATIONS), None, False
+        backends = OF_FEW_ENTRIES if _leaves_few_entries(self.problem) else IDENTIFICATIONS
+        order, steps, nearly_dependent = list(backends), None, False
         program = mostly_bare(self.problem)
         order = [other for other in order if program or other[2] != BALANCED_UNITS]
         while order and self._effort.factorisations < self._most:
@@ -349,9 +338,10 @@ class SparseRun(Run):
         """Raise NoEquilibrium if the constraints conflict or the energy is unbounded below."""
         if self._state is None:  # else it satisfies all constraints to rounding of the largest length
             self._refuse_overlap()
-            refuse_sparse_conflict(self.problem)
+            existence.refuse_sparse_conflict(self.problem)
         if self._state is None or mostly_bare(self.problem):
-            refuse_sparse_drive(self.problem, None if self._state is None else self._state.left.force.double())
+            left = None if self._state is None else self._state.left.force.double()
+            existence.refuse_sparse_drive(self.problem, left)
 
     def _refuse_overlap(self) -> None:
         """Raise NoEquilibrium if the displacement with the least violation of the constraints proves their conflict.
@@ -378,7 +368,7 @@ class SparseRun(Run):
             size = float(np.max(missing, initial=0.0))
             if not size > OVERLAPPING:
                 return
-            left = np.minimum(left / size, IDLE_SLACK)
+            left = np.minimum(left / size, existence.IDLE_SLACK)
             of_ties = {"tie": overlapping[m:], "tie_value": left[m:]}
             looser = ContactProblem(squares, np.zeros(n + count), overlapping[:m], left[:m], **of_ties)
             try:
@@ -428,6 +418,15 @@ def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | No
     return identified_by_iteration(problem, iteration(problem), settings)
 
 
+def _leaves_few_entries(problem: ContactProblem) -> bool:
+    """Return whether PIQP's factors have as few entries as K, as the ties of a diagonal K, or as a narrow band."""
+    several = np.diff(problem.normal.indptr) > 1
+    if not several.any() and (not problem.ties or _separate(problem)):
+        return True
+    rows = sp.vstack([problem.normal[np.flatnonzero(several)], problem.tie], format="csr")
+    return in_narrow_band(problem.stiffness_rows, rows)
+
+
 def _separate(problem: ContactProblem) -> bool:
     """Return whether K is diagonal and positive, so that only ties couple the unknowns."""
     return problem.stiffness_rows.nnz == problem.dimension and bool(problem.diagonal.all())
@@ -453,12 +452,12 @@ def refuse_ray(problem: ContactProblem, diverged: Answer) -> None:
     weights = _farkas(twin, np.maximum(diverged.normal_force, 0.0), diverged.tie_force)
     if weights is not None:
         units = np.concatenate([scaling.contacts, scaling.ties])
-        refuse_proven(problem, conflict_of(problem, scaling.unknowns, weights / units))
+        existence.refuse_proven(problem, existence.conflict_of(problem, scaling.unknowns, weights / units))
     largest = float(np.max(abs(diverged.displacement), initial=0.0))
     if largest > 0:
         motion = diverged.displacement / largest
-        if twin.load @ motion > DRIVEN * (abs(twin.load) @ abs(motion)) and _rests(twin, motion):
-            refuse_drive_along(problem, motion, strictly=True)
+        if twin.load @ motion > existence.DRIVEN * (abs(twin.load) @ abs(motion)) and _rests(twin, motion):
+            existence.refuse_drive_along(problem, motion, strictly=True)
 
 
 def _rests(problem: ContactProblem, motion: Vector) -> bool:
@@ -475,11 +474,11 @@ def _farkas(problem: ContactProblem, normal: Vector, tie: Vector) -> Vector | No
     size = float(np.max(abs(weights), initial=0.0))
     if not size > 0:
         return None
-    weights = np.where(abs(weights) > NO_PART * size, weights / size, 0.0)
+    weights = np.where(abs(weights) > existence.NO_PART * size, weights / size, 0.0)
     if np.max(abs(rows.T @ weights), initial=0.0) > NEARLY or not -(limit @ weights) > 0:
         return None
     across, bounds = SparseRows(rows.T.tocsr()), nearest_bounds(problem)
-    for passed in range(PROJECTIONS):
+    for passed in range(existence.PROJECTIONS):
         left = (across @ extend(weights)).double()
         taken = np.where(left > 0, bounds[0], np.where(left < 0, bounds[1], np.minimum(*bounds)))
         part = sp.csc_matrix(sp.diags(abs(weights)) @ rows).T

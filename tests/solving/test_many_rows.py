@@ -13,6 +13,7 @@ from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
 from contactqp.linalg import existence
+from contactqp.solving import sparse_run
 from contactqp.solving.methods import Settings, find
 from tests.solving.test_linear_programs import transport
 
@@ -42,6 +43,19 @@ def test_banded_inequalities_agree_with_condensing(order: int) -> None:
     sparse, condensed = (cq.solve(problem, condense=condense) for condense in (False, True))
     assert sparse.certificate.proven
     assert sparse.displacement == pytest.approx(condensed.displacement, rel=1e-9)
+
+
+def test_rows_in_a_narrow_band_are_shown_to_one_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nearest convex sequence to a concave one is a line. Clarabel had been run twice, and a vertex was sought."""
+    asked, size = [], 3000
+    monkeypatch.setattr(sparse_run, "find", lambda name: asked.append(name) or find(name))
+    differences = sp.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size - 2, size))
+    i = np.arange(-size + 1.0, size, 2.0)
+    data = 5.0 * i / size - (i / size) ** 2 + np.sum((i / size) ** 2) / size
+    solution = cq.solve(cq.ContactProblem.from_qp(sp.identity(size), -data, G=-differences, h=np.zeros(size - 2)))
+    assert solution.certificate.proven
+    assert asked == ["piqp"]
+    assert solution.displacement == pytest.approx(5.0 * i / size, abs=1e-13)
 
 
 def nearest_with_differences(size: int, order: int, kink: float) -> tuple[cq.ContactProblem, np.ndarray]:
