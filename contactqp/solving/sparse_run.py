@@ -43,7 +43,7 @@ from contactqp.model.arrays import (
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Solution, Work
 from contactqp.solving.methods import Method, Settings, find
-from contactqp.solving.methods.inexact_active_set import identified_by_iteration
+from contactqp.solving.methods.inexact_active_set import identified_by_iteration, projects_slowly
 from contactqp.solving.methods.method import ACTIVE_SET, MODELLING_LANGUAGE, QUADRATIC_PROGRAM
 from contactqp.solving.runs import Run, after, described
 
@@ -413,7 +413,8 @@ def by_sparse_systems(
 
 def _by_iteration(problem: ContactProblem, settings: Settings) -> Candidate | None:
     """Return the answer of the inexact active set if a multigrid hierarchy suits K (supported bodies, membranes)."""
-    if problem.dimension < LARGE or _separate(problem) or not held_by_hierarchy(problem):
+    slowly = problem.dimension < LARGE or _separate(problem) or projects_slowly(problem)
+    if slowly or not held_by_hierarchy(problem):
         return None
     return identified_by_iteration(problem, iteration(problem), settings)
 

@@ -15,6 +15,7 @@ import contactqp as cq
 from contactqp.linalg import existence
 from contactqp.solving import sparse_run
 from contactqp.solving.methods import Settings, find
+from contactqp.solving.methods.inexact_active_set import projects_slowly
 from tests.solving.test_linear_programs import transport
 
 
@@ -56,6 +57,26 @@ def test_rows_in_a_narrow_band_are_shown_to_one_backend(monkeypatch: pytest.Monk
     assert solution.certificate.proven
     assert asked == ["piqp"]
     assert solution.displacement == pytest.approx(5.0 * i / size, abs=1e-13)
+
+
+def test_ties_that_share_their_unknowns_are_left_to_backends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chain pulled at its end, with weighted sums of its displacements tied to what they are, one of them twice.
+
+    Projections had factorised the products of all pairs of ties for each set, again where ties depend on each other.
+    """
+    size = 2400
+    monkeypatch.setattr(sparse_run, "held_by_hierarchy", None)
+    chain = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(size, size)).tolil()
+    chain[-1, -1] = 1.0
+    u, pull, every = np.arange(1.0, size + 1), np.eye(1, size, size - 1)[0], sp.identity(size)
+    sums = np.random.default_rng(0).integers(-3, 4, (12, size)).astype(float)
+    ties = np.vstack([sums, sums[0] + sums[1]])
+    problem = cq.ContactProblem(sp.csr_matrix(chain), pull, every, u + 1.0, tie=ties, tie_value=ties @ u)
+    assert cq.solve(problem, condense=False).displacement == pytest.approx(u, rel=1e-14)
+    pairs = sp.diags([1.0, -1.0], [0, 1], shape=(size - 1, size))
+    few = cq.ContactProblem(sp.csr_matrix(chain), pull, every, u, tie=pairs, tie_value=np.zeros(size - 1))
+    assert projects_slowly(problem)
+    assert not projects_slowly(few)
 
 
 def nearest_with_differences(size: int, order: int, kink: float) -> tuple[cq.ContactProblem, np.ndarray]:

@@ -22,6 +22,7 @@ from contactqp.linalg.contact_iteration import ContactIteration, Limits
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows
 from contactqp.linalg.measures import beyond, ratio
 from contactqp.model.arrays import EPS, Indices, Mask, Vector, tell
+from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import Settings
 
@@ -47,6 +48,8 @@ SIGNS_SETTLED = 1e-4
 # For a set that another method starts from: the relative error in energy, and the most steps in all (45 are needed on
 # membranes of a million nodes), after which the hierarchy is considered unsuitable.
 IDENTIFIED, IDENTIFYING_STEPS = 1e-3, 150
+# Products of ties have at most this many times the entries of K and the ties; with more, a backend takes less time.
+MOST_SHARED = 4
 # It is also unsuitable if sets alternately grow and shrink this often and in this part of the steps; on bodies and
 # membranes they do so at most six times and in a third of the steps.
 TURNS, OFTEN = 10, 0.42
@@ -87,6 +90,12 @@ def identified_by_iteration(
     search = _Search(problem, iteration, settings, ENERGY, steps=IDENTIFYING_STEPS, identified=error)
     found = search.run() if search.steps_left() > 0 else None
     return found if search.steps_left() > 0 else None
+
+
+def projects_slowly(problem: ContactProblem) -> bool:
+    """Return whether ties share so many unknowns that their products, which projections factorise, outweigh K."""
+    shared = np.bincount(problem.tie.indices, minlength=1).astype(float)
+    return bool(shared @ shared > MOST_SHARED * (problem.stiffness_rows.nnz + problem.tie.nnz))
 
 
 class _Search:
