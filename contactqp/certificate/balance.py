@@ -22,11 +22,10 @@ from contactqp.certificate.figures import (
     without_part_along,
 )
 from contactqp.linalg.condensation import Condensation, free_motions
-from contactqp.linalg.convexity import RESISTED
 from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
-from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, as_stated, that_move
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, RESISTED, as_stated, that_move
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
     bodies,

@@ -20,7 +20,7 @@ from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import RESISTED, StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
+from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
 from contactqp.linalg.delassus import (
     ContactCompliance,
     RefinedForces,
@@ -28,7 +28,7 @@ from contactqp.linalg.delassus import (
     contact_compliance,
 )
 from contactqp.linalg.extended import FINE_EPS, extend, extended_rows, residuals
-from contactqp.linalg.floating import as_stated
+from contactqp.linalg.floating import RESISTED, as_stated
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
 from contactqp.linalg.measures import lengths, own_compliance, row_sizes

@@ -21,8 +21,7 @@ from contactqp.distributed.preconditioner import Preconditioner
 from contactqp.distributed.problem import Bodies, DistributedProblem, floating_bodies
 from contactqp.distributed.ranks import Ranks
 from contactqp.distributed.rows import Rows, chosen_rows
-from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.floating import FloatingMotions
+from contactqp.linalg.contact_iteration import ContactIteration, FloatingMotions
 from contactqp.linalg.krylov import ConjugateGradients, ConstrainedRows, IndependentRows, Projections
 from contactqp.linalg.measures import reciprocal, sizes_of
 from contactqp.model.arrays import Array, Index, Indices, Mask, Vector

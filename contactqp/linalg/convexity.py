@@ -1,6 +1,6 @@
 """Decide whether K is semidefinite, by a Cholesky factorisation or a direction of negative curvature in extended
-precision, whether rows of constraints are independent, or contradict each other by rounding, and what rounding of K
-makes of rigid motions; equations of many such rows.
+precision, and whether rows of constraints are independent or contradict each other by rounding; solve equations of many
+such rows.
 """
 
 from __future__ import annotations
@@ -16,25 +16,21 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, InvalidProblem
 from contactqp.linalg import pardiso
 from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.dense import BALANCED, DENSE_SIZE, Condensed, RigidMotions, SaddlePoint
+from contactqp.linalg.dense import DENSE_SIZE, Condensed, SaddlePoint
 from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
-from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, that_move
-from contactqp.linalg.measures import NOTHING_BY_DEFAULT, outer_forces, ratio
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer
 
 # The most contacts and ties whose overlap is looked for in rational numbers, and why nothing is claimed with one.
 MOST_ROWS, DECIDED = 60, "what rounding of the data decides is not proven"
 # The relative rounding of a motion that is computed in doubles, and of a row's sum over it.
 ROUNDED_SUM = Fraction(256 * EPS)
-# Relative forces K z of rigid motions above which a real resistance is possible.
-RESISTED = 1e-9
 # Negative curvature beyond this part of |z|'|K||z| is not a rounding error of the entries.
 CURVED = 1e-12
 # The relative amount by which diagonals must exceed the sum of the other entries, above rounding.
@@ -426,69 +422,3 @@ def _sum_of(entries: Vector, motion: list[Fraction], unknowns: Any) -> Fraction:
     terms = [Fraction(float(x)) * motion[j] for x, j in zip(entries, unknowns, strict=True)]
     total = sum(terms, Fraction(0))
     return total if abs(total) > ROUNDED_SUM * sum(map(abs, terms)) else Fraction(0)
-
-
-def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, largest: float = 0.0) -> float:
-    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
-
-    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces. On a motion on which only
-    rounding of the `largest` force acts, it is relative to that force.
-
-    Parameters
-    ----------
-    problem, answer : whose outer forces these are
-    rigid : the rigid motions of the bodies
-    largest : a force in the scale of the stiffness [square root of energy]
-    """
-    rows = extended_rows(problem)
-    if not rigid.count:
-        return 0.0
-    motions = that_move(problem, rigid.motions)
-    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
-    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
-    size, whole = _acting_on(problem, answer, motions, largest)
-    return float(np.max(ratio(abs(missed), np.where(size > NOTHING_BY_DEFAULT * whole, size, whole))))
-
-
-def _acting_on(problem: ContactProblem, answer: Answer, motions: Array, largest: float) -> tuple[Vector, Vector]:
-    """Return |z|'F_outer of each motion (r,), and what it would be if the `largest` force acted everywhere."""
-    size, whole = (abs(motions).T @ x for x in (outer_forces(problem, answer), largest * np.sqrt(problem.diagonal)))
-    return np.asarray(size), np.asarray(whole)
-
-
-def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
-    """Return K z of rigid motions by rounding of K, relative to the outer forces.
-
-    Of motions that are not stated it is only what may be a resistance that no outer force balances: what is more than
-    `RESISTED` along motions on which none acts, else 0.
-    """
-    if not rigid.count:
-        return 0.0
-    coordinates, size = rigid.coordinates(answer.displacement, problem.diagonal), _largest_outer_force(problem, answer)
-    if problem.near_null_space is None:
-        acting, whole = _acting_on(problem, answer, rigid.motions, size)
-        coordinates = np.where(acting > NOTHING_BY_DEFAULT * whole, 0.0, coordinates)
-    moved = extend(rigid.motions @ coordinates)
-    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ moved).double())
-    made = float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
-    return made if problem.near_null_space is not None or made > RESISTED else 0.0
-
-
-def imbalance_of_acting(problem: ContactProblem, answer: Answer, rigid: RigidMotions, missed: float) -> float:
-    """Return the imbalance, of which `missed` is the largest, where more than rounding of other bodies' forces acts.
-
-    A body that others carry along has no forces but those that rounding of K makes.
-
-    Parameters
-    ----------
-    problem, answer, rigid : as in `imbalance`
-    missed : the result where motions are stated, which are exact
-    """
-    if problem.near_null_space is not None:
-        return missed
-    beside = imbalance(problem, answer, rigid, _largest_outer_force(problem, answer))
-    return max(beside, made_of_motions(problem, answer, rigid), BALANCED)
-
-
-def _largest_outer_force(problem: ContactProblem, answer: Answer) -> float:
-    return float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))

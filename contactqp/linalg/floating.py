@@ -1,274 +1,35 @@
-"""Floating bodies: their rigid motions, the position where contacts stop them, and forces that balance the load.
+"""Floating bodies: their rigid motions, the answer on contacts that hold them, and the balance of forces on them.
 
-With Z the rigid motions of all bodies as columns, a body moved by Z a touches without deforming where
-
-    max f'Z a    subject to    E_N Z a <= g,  A Z a = b,
-
-a linear program with few unknowns. Its multipliers are contact forces that balance the load on every motion, its active
-contacts hold the bodies, and if it is unbounded the load drives a motion that nothing resists.
-
-Condensed, the answer on closed contacts B of bodies that may float comes from the null-space method (`NullSpace`;
+The condensed answer on closed contacts B of bodies that may float comes from the null-space method (`NullSpace`;
 Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...).
-Dependent rows get no force, and unresisted rigid motions of K are zero.
-
-Vectors are the part of one process, as in `contactqp.linalg.contact_iteration`; sums are over all processes.
+Dependent rows get no force, and unresisted rigid motions of K are zero. `contactqp.linalg.contact_iteration` has the
+motions of bodies that are iterated on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from copy import copy
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import NoEquilibrium, NotConverged
-from contactqp.linalg.dense import BALANCED, IDLE, REGULAR, Condensed, DenseCholesky, orthonormal
+from contactqp.linalg.dense import BALANCED, IDLE, REGULAR, Condensed, DenseCholesky, RigidMotions, orthonormal
 from contactqp.linalg.equilibration import balancing_factors
+from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts, right_singular
-from contactqp.linalg.krylov import ConstrainedRows, Processes
-from contactqp.linalg.measures import largest_of_bodies, reciprocal
-from contactqp.linalg.nonnegative import highs, shift_within_gaps
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, largest_of_bodies, outer_forces, ratio
+from contactqp.linalg.nonnegative import highs
 from contactqp.linalg.runtime import lapack
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Answer
 
 # A unit motion is not resisted by unit rows whose products with it are below this.
 UNRESISTED = 1e-9
+# Relative forces K z of rigid motions above which a real resistance is possible.
+RESISTED = 1e-9
 SAME_DIGITS = 12  # unit rows that agree to so many digits are one
 NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
-Lengths = Callable[[Vector], Vector]
-# The work of a load on a motion is rounding below this part of the sum of its terms.
-WORKLESS = 1e-10
-# Multipliers of the linear program below this part of the largest count as zero.
-NO_MULTIPLIER = 1e-9
-# SciPy's status codes of linear programs.
-_INFEASIBLE, _UNBOUNDED = 2, 3
-_DRIVEN = "the load drives a rigid motion that no contact and no tie holds back"
-
-
-class MotionProjections:
-    """Projections that remove D-orthonormal motions z (n_here, r) with K z = 0. Both are collective."""
-
-    def __init__(self, processes: Processes, diagonal: Vector, motions: Array) -> None:
-        self._processes, self._diagonal, self.motions = processes, diagonal, motions
-
-    def admit(self, z: Vector) -> None:
-        """Remove the motions from a displacement, in the metric of D, in place."""
-        if self.motions.shape[1]:
-            z -= self.motions @ self._processes.sum(self.motions.T @ (self._diagonal * z))
-
-    def balanced(self, r: Vector) -> Vector:
-        """Return the force with the same work on deformations and no work on the motions."""
-        if not self.motions.shape[1]:
-            return r.copy()
-        return np.asarray(r - self._diagonal * (self.motions @ self._processes.sum(self.motions.T @ r)))
-
-
-class FloatingMotions(MotionProjections):
-    """The rigid motions of the bodies of a problem and its rows, contacts first.
-
-    All methods are collective but `with_rows`.
-
-    Parameters
-    ----------
-    processes : Processes, those that share the problem
-    diagonal : (n_here,) array, D, the diagonal of K, positive [force / length]
-    motions : (n_here, r) array, Z, orthonormal in the metric of D; no columns where all bodies are supported
-    contacts : int, the number m_here of contacts
-    lengths : function, returns E z (a,) of all rows, contacts first
-    compliance : (a,) array, E_i D^-1 E_i' of the rows [length / force]
-    """
-
-    def __init__(
-        self,
-        processes: Processes,
-        diagonal: Vector,
-        motions: Array,
-        contacts: int,
-        lengths: Lengths,
-        compliance: Vector,
-    ) -> None:
-        super().__init__(processes, diagonal, motions)
-        self.contacts = contacts
-        self._set_rows(lengths, compliance)
-
-    def with_rows(self, lengths: Lengths, compliance: Vector) -> FloatingMotions:
-        """Return the motions with other rows, beginning with the same contacts, and their E_i D^-1 E_i'."""
-        other = copy(self)
-        other.__dict__.pop("moved", None)
-        other._set_rows(lengths, compliance)
-        return other
-
-    def _set_rows(self, lengths: Lengths, compliance: Vector) -> None:
-        self._lengths = lengths
-        self._stiffness = reciprocal(compliance)
-
-    @property
-    def count(self) -> int:
-        """Return the number r of motions."""
-        return int(self.motions.shape[1])
-
-    @cached_property
-    def moved(self) -> Array:
-        """Return E Z (a, r), with rounding errors set to zero, so that these rows do not resist the motion."""
-        own = np.sqrt(reciprocal(self._stiffness))
-        columns = [np.zeros((len(own), 0))]
-        for z in self.motions.T:
-            size = self._processes.max(float(np.max(np.sqrt(self._diagonal) * abs(z), initial=0.0)))
-            lengths = self._lengths(z)
-            columns.append(np.where(abs(lengths) > UNRESISTED * own * size, lengths, 0.0)[:, None])
-        return np.hstack(columns)
-
-    def resting(self, load: Vector, limit: Vector) -> tuple[Vector, Mask]:
-        """Return the rigid displacement (n_here,) to which the load moves the bodies, and the contacts that stop them.
-
-        Raises NoEquilibrium: the load drives a motion that nothing resists; NotConverged: the linear program found
-        neither a position nor such a motion.
-        """
-        work = self._work(load)
-        every = self._processes.gathered(self.moved), self._processes.gathered(limit)
-        contact = self._processes.gathered(np.arange(len(limit)) < self.contacts)
-        a, force = self._processes.broadcast(
-            resting_place(work, *every, contact) if self._processes.rank == 0 else None
-        )
-        if isinstance(a, str):
-            raise (NoEquilibrium if a == _DRIVEN else NotConverged)(a)
-        first = self._processes.offset(len(limit))
-        push = force * np.max(abs(every[0]), axis=1, initial=0.0)  # independent of the scale of a row
-        pressed = push[first : first + self.contacts] > NO_MULTIPLIER * np.max(abs(push), initial=0.0)
-        return self.motions @ a, pressed
-
-    def loose(self, closed: Mask) -> Array:
-        """Return orthonormal coefficients (r, q) of the motions that no closed contact and no tie resists."""
-        holding = np.append(closed, np.ones(len(self._stiffness) - self.contacts, dtype=bool))
-        values, turned = self._singular_values(np.where(holding, self._stiffness, 0.0))
-        return turned[:, values <= UNRESISTED * np.max(values, initial=0.0)]
-
-    def _singular_values(self, weight: Vector) -> tuple[Vector, Array]:
-        """Return the singular values (r,) of sqrt(weight) E Z, and its right singular vectors as columns."""
-        here = np.linalg.qr(np.sqrt(weight)[:, None] * self.moved, mode="r")
-        every = self._processes.gathered(np.vstack([here, np.zeros((1, self.count))]))
-        _, values, turned = np.linalg.svd(every)
-        return np.append(values, np.zeros(self.count - len(values))), turned.T
-
-    def holds(self, closed: Mask, load: Vector) -> bool:
-        """Return whether closed contacts and ties resist every motion that the load drives."""
-        loose, work = self.loose(closed), self._work(load)
-        return not np.any(abs(loose.T @ work) > WORKLESS * (abs(loose).T @ abs(work)))
-
-    def projections(self, rows: ConstrainedRows, closed: Mask) -> ConstrainedRows:
-        """Return the projections of constrained rows that also remove motions that no closed contact or tie resists.
-
-        Iterates are otherwise arbitrary along these motions.
-        """
-        loose = self.loose(closed) if self.count else np.zeros((0, 0))
-        if not loose.shape[1]:
-            return rows
-        return _ProjectionsWithMotions(rows, MotionProjections(self._processes, self._diagonal, self.motions @ loose))
-
-    def at_rest(self, displacement: Vector, normal_force: Vector, gap: Vector) -> tuple[Vector, Array]:
-        """Return the displacement of least norm within the gaps, and orthonormal motions (n_here, q) that are free."""
-        free = self.motions @ self.loose(normal_force > 0)
-        gram = self._processes.sum(free.T @ free)
-        values, vectors = np.linalg.eigh(gram)
-        free = free @ (vectors / np.sqrt(values))
-        if not free.shape[1]:
-            return displacement, free
-        rows = np.column_stack([self._lengths(z)[: self.contacts] for z in free.T])
-        room = gap - self._lengths(displacement)[: self.contacts]
-        size = self._processes.max(float(np.max(np.sqrt(self._diagonal)[:, None] * abs(free), initial=0.0)))
-        own = 1 / np.sqrt(self._stiffness[: self.contacts])
-        moved = np.linalg.norm(rows, axis=1) > UNRESISTED * own * size
-        shift = -self._processes.sum(free.T @ displacement)
-        every, room = self._processes.gathered(rows[moved]), self._processes.gathered(room[moved])
-        if len(room):
-            shift = shift_within_gaps(every, room, shift)
-        return displacement + free @ shift, free
-
-    def _work(self, load: Vector) -> Vector:
-        """Return Z'f (r,), zero where it is rounding."""
-        work, size = self._processes.sum(np.stack([self.motions.T @ load, abs(self.motions).T @ abs(load)]))
-        return np.where(abs(work) > WORKLESS * size, work, 0.0)
-
-    def balance(self, residual: Vector, weight: Vector) -> Vector:
-        """Return the forces l (a,), least in the metric of 1/weight, with Z'(r - E'l) = 0 for a residual r."""
-        if not self.count:
-            return np.zeros(len(self._stiffness))
-        values, turned = self._singular_values(weight)
-        resisted = values > UNRESISTED * np.max(values)
-        work = turned[:, resisted].T @ self._processes.sum(self.motions.T @ residual)
-        return np.asarray(weight * (self.moved @ (turned[:, resisted] @ (work / values[resisted] ** 2))))
-
-
-class _ProjectionsWithMotions:
-    """Projections of constrained rows, and of motions that do not move these rows."""
-
-    def __init__(self, rows: ConstrainedRows, motions: MotionProjections) -> None:
-        self._rows, self._motions = rows, motions
-        self.close, self.forces = rows.close, rows.forces
-
-    def admit(self, z: Vector) -> None:
-        self._rows.admit(z)
-        self._motions.admit(z)
-
-    def balanced(self, r: Vector) -> Vector:
-        return self._motions.balanced(self._rows.balanced(r))
-
-
-def resting_place(work: Vector, moved: Array, limit: Vector, contact: Mask) -> tuple[Vector | str, Vector]:
-    """Solve the linear program of rigid motions under a load.
-
-    Where no rigid motion removes an overlap of bodies, overlapping contacts count as touching.
-
-    Parameters
-    ----------
-    work : (r,) array, the work Z'f of the load on each motion
-    moved : (a, r) array, E Z of contacts and ties
-    limit : (a,) array, g and b [length]
-    contact : (a,) array of bool, which rows are contacts; the others are ties
-
-    Returns
-    -------
-    coefficients : (r,) array or str
-        The resting place, or why there is none.
-    force : (a,) array
-        The contact forces that balance the load there; 0 on ties.
-    """
-    size = np.max(abs(moved), axis=1, initial=0.0)
-    acting = size > 0
-    for reach in (limit, np.where(contact, np.maximum(limit, 0.0), 0.0)):
-        found = _program(work, moved[acting] / size[acting, None], reach[acting] / size[acting], contact[acting])
-        if found.status != _INFEASIBLE:
-            break
-    if found.status == _UNBOUNDED:
-        return _DRIVEN, limit
-    if found.x is None:
-        return f"the resting place of the bodies that float was not found: {found.message}", limit
-    force = np.zeros(len(limit))
-    force[np.flatnonzero(acting & contact)] = -found.ineqlin.marginals / size[acting & contact]
-    return np.asarray(found.x), force
-
-
-def _program(work: Vector, rows: Array, limit: Vector, contact: Mask) -> Any:
-    from scipy.optimize import linprog
-
-    length = np.max(abs(limit), initial=0.0) or 1.0
-    push = np.max(abs(work), initial=0.0) or 1.0
-    found = linprog(
-        -work / push,
-        A_ub=rows[contact],
-        b_ub=limit[contact] / length,
-        A_eq=rows[~contact] if not np.all(contact) else None,
-        b_eq=limit[~contact] / length if not np.all(contact) else None,
-        bounds=[(None, None)] * len(work),
-        method="highs",
-    )
-    if found.x is not None:
-        found.x, found.ineqlin.marginals = length * found.x, push * found.ineqlin.marginals
-    return found
 
 
 # Entries of a motion below this part of its largest, both in units of the unknowns and of energy, are rounding errors.
@@ -498,3 +259,69 @@ def independent_rows(rows: Array) -> Indices:
     R, pivots, *_ = geqp3(columns, lwork=int(geqp3(columns, lwork=-1)[3][0]))
     rank = int(np.sum(abs(R.diagonal()) > DEPENDENT_IN_ENERGY * max(rows.shape)))
     return np.sort(pivots[:rank] - 1).astype(np.intp)
+
+
+def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, largest: float = 0.0) -> float:
+    """Return the largest relative imbalance of the outer forces over a basis of rigid motions.
+
+    It is |z'r| / |z|'F_outer of a motion z, with r the sum of loads, contact and tie forces. On a motion on which only
+    rounding of the `largest` force acts, it is relative to that force.
+
+    Parameters
+    ----------
+    problem, answer : whose outer forces these are
+    rigid : the rigid motions of the bodies
+    largest : a force in the scale of the stiffness [square root of energy]
+    """
+    rows = extended_rows(problem)
+    if not rigid.count:
+        return 0.0
+    motions = that_move(problem, rigid.motions)
+    outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
+    missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
+    size, whole = _acting_on(problem, answer, motions, largest)
+    return float(np.max(ratio(abs(missed), np.where(size > NOTHING_BY_DEFAULT * whole, size, whole))))
+
+
+def _acting_on(problem: ContactProblem, answer: Answer, motions: Array, largest: float) -> tuple[Vector, Vector]:
+    """Return |z|'F_outer of each motion (r,), and what it would be if the `largest` force acted everywhere."""
+    size, whole = (abs(motions).T @ x for x in (outer_forces(problem, answer), largest * np.sqrt(problem.diagonal)))
+    return np.asarray(size), np.asarray(whole)
+
+
+def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+    """Return K z of rigid motions by rounding of K, relative to the outer forces.
+
+    Of motions that are not stated it is only what may be a resistance that no outer force balances: what is more than
+    `RESISTED` along motions on which none acts, else 0.
+    """
+    if not rigid.count:
+        return 0.0
+    coordinates, size = rigid.coordinates(answer.displacement, problem.diagonal), _largest_outer_force(problem, answer)
+    if problem.near_null_space is None:
+        acting, whole = _acting_on(problem, answer, rigid.motions, size)
+        coordinates = np.where(acting > NOTHING_BY_DEFAULT * whole, 0.0, coordinates)
+    moved = extend(rigid.motions @ coordinates)
+    forces = problem.own_scale * abs((extended_rows(problem).stiffness @ moved).double())
+    made = float(np.max(forces, initial=0.0)) / size if size > 0 else 0.0
+    return made if problem.near_null_space is not None or made > RESISTED else 0.0
+
+
+def imbalance_of_acting(problem: ContactProblem, answer: Answer, rigid: RigidMotions, missed: float) -> float:
+    """Return the imbalance, of which `missed` is the largest, where more than rounding of other bodies' forces acts.
+
+    A body that others carry along has no forces but those that rounding of K makes.
+
+    Parameters
+    ----------
+    problem, answer, rigid : as in `imbalance`
+    missed : the result where motions are stated, which are exact
+    """
+    if problem.near_null_space is not None:
+        return missed
+    beside = imbalance(problem, answer, rigid, _largest_outer_force(problem, answer))
+    return max(beside, made_of_motions(problem, answer, rigid), BALANCED)
+
+
+def _largest_outer_force(problem: ContactProblem, answer: Answer) -> float:
+    return float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))

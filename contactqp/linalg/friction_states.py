@@ -23,7 +23,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import imbalance, imbalance_of_acting, made_of_motions
 from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips
 from contactqp.linalg.dense import BALANCED, REGULAR
 from contactqp.linalg.extended import (
@@ -36,7 +35,7 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED, independent_rows
+from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting, independent_rows, made_of_motions
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack

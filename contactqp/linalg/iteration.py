@@ -17,12 +17,11 @@ import scipy.sparse as sp
 
 from contactqp.errors import BackendFailed, BackendMissing, Unsupported, free_memory
 from contactqp.linalg import pardiso, schur
-from contactqp.linalg.contact_iteration import ContactIteration
+from contactqp.linalg.contact_iteration import ContactIteration, FloatingMotions
 from contactqp.linalg.convexity import moves_beyond_bodies
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import mostly_bare
 from contactqp.linalg.factorization import stated_motions, widest_level
-from contactqp.linalg.floating import FloatingMotions
 from contactqp.linalg.krylov import AssembledRows, ConjugateGradients, ConstrainedRows, OneProcess
 from contactqp.linalg.measures import sizes_of
 from contactqp.linalg.multigrid import COARSEST_TOUCHED, Hierarchy, available

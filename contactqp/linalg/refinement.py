@@ -13,12 +13,11 @@ from operator import is_
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import imbalance, imbalance_of_acting, made_of_motions
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting, made_of_motions
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import forces_without_tension

@@ -8,8 +8,7 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.certificate.multigrid_bounds import dual_norm, refined_norm
-from contactqp.linalg.contact_iteration import ContactIteration
-from contactqp.linalg.floating import FloatingMotions
+from contactqp.linalg.contact_iteration import ContactIteration, FloatingMotions
 from contactqp.linalg.iteration import Iteration, iteration
 from contactqp.linalg.krylov import ConjugateGradients, OneProcess
 from contactqp.linalg.multigrid import available

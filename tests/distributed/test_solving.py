@@ -11,7 +11,7 @@ import pytest
 from contactqp.certificate.balance import _worst_direction
 from contactqp.distributed.certificate import CuttingPlanes
 from contactqp.errors import NotConverged
-from contactqp.linalg.floating import resting_place
+from contactqp.linalg.contact_iteration import resting_place
 from tests.distributed.cases import RANKS
 
 # Nodes on obstacles, bodies that float and rest on their contacts, several of them, free motions, mortar rows, ties.
