@@ -46,6 +46,7 @@ from contactqp.model.arrays import telling
 @click.option("--contact-map", metavar="FILE", help="The same for contacts.")
 @click.option("--tolerance", type=float, default=1e-9, show_default=True, help="Largest violation that passes.")
 @click.option("--error-tolerance", type=float, default=1e-6, show_default=True, help="Largest bound that passes.")
+@units_option("a deck, or of matrices that state none,")
 @click.option("--receipt", metavar="FILE.json", help="Write hashes, version, verdict, figures and bounds to it.")
 @click.option("--verify", "receipt_to_verify", metavar="FILE.json", help="Say whether that receipt still holds.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
@@ -58,6 +59,7 @@ def check_command(
     contact_map: str | None,
     tolerance: float,
     error_tolerance: float,
+    units: dict[str, str] | None,
     receipt: str | None,
     receipt_to_verify: str | None,
     as_json: bool,
@@ -86,8 +88,8 @@ def check_command(
     relative to it, and judges once more; exit 0 if both are as they were, 1 with what differs if not.
     """
     if receipt_to_verify is not None:
-        told = (problem, receipt, pressure_areas, dof_map, contact_map)
-        if told != (None,) * 5 or (compression, tolerance, error_tolerance) != ("positive", 1e-9, 1e-6):
+        told = (problem, receipt, pressure_areas, dof_map, contact_map, units)
+        if told != (None,) * 6 or (compression, tolerance, error_tolerance) != ("positive", 1e-9, 1e-6):
             raise click.UsageError("--verify takes files and options from the receipt: expected no others")
         _verify(receipt_to_verify, as_json)
     if problem is None or candidate is None:
@@ -98,7 +100,7 @@ def check_command(
     from contactqp.study.checking import check_answer, print_check
     from contactqp.study.verdict import CheckOptions
 
-    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance)
+    options = CheckOptions(tolerance, compression, pressure_areas, dof_map, contact_map, error_tolerance, units)
     if problem == candidate == "-":
         raise InvalidProblem("check: PROBLEM and CANDIDATE are both standard input; expected a file for one of them")
     if receipt is not None:

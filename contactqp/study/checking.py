@@ -24,6 +24,7 @@ from contactqp.exchange.problem_files import is_of_matrices, is_problem_file, re
 from contactqp.linalg.delassus import velocity_of
 from contactqp.model.arrays import Array, own_floating_point
 from contactqp.model.local_problem import LocalProblem, LocalSolution
+from contactqp.model.names import read_units
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import LOCALLY, LocalCertificate, reasons_together
 from contactqp.model.summary import finite
@@ -33,7 +34,7 @@ from contactqp.scene.building import build
 from contactqp.scene.scene import load_scene
 from contactqp.scene.tables import fits, print_wrapped
 from contactqp.solving.solve import solve
-from contactqp.study.friction_files import MOST_CONTACTS, figures, vector_text
+from contactqp.study.friction_files import MOST_CONTACTS, called, figures, vector_text
 from contactqp.study.verdict import CheckOptions, Order, Verdict, as_options, read_areas, read_order
 
 
@@ -311,13 +312,17 @@ def check_answer(problem: str, candidate: str, options: CheckOptions) -> ForcesV
     if Path(problem).is_dir() and not is_problem_file(problem):
         names = ", ".join(sorted(file.name for file in Path(problem).iterdir())[:5]) or "nothing"
         raise wrong(problem, "folder", "problem.json, or a file called stiffness or K", f"{names:.100}")
+    if options.units is not None and not (is_problem_file(problem) and is_of_matrices(problem)):
+        raise InvalidProblem(f"--units: {problem}: expected a deck or matrices without units")
     if not is_problem_file(problem):
         return check_case(problem, candidate, options)
     if not is_of_matrices(problem):
         return check_forces(problem, candidate, options)
     stored, ledger = read_problem_with_ledger(problem)
     assert isinstance(stored, ContactProblem)
-    return check_problem(stored, ledger, candidate, options)
+    named = called(problem, stored, read_units(options.units))
+    assert isinstance(named, ContactProblem)
+    return check_problem(named, ledger, candidate, options)
 
 
 def print_check(console: Console, verdict: ForcesVerdict | AnswerVerdict) -> None:

@@ -260,7 +260,7 @@ def run_file(
     if engine != SERIAL:
         return run_file_on_ranks(file, method or DEFAULT_METHOD, _in_units(file, None, options or {}))
     read, ledger = read_solvable(file)
-    problem = _called(file, read, units)
+    problem = called(file, read, units)
     chosen = _in_units(file, problem.units if isinstance(problem, ContactProblem) else None, options or {})
     if drawn and isinstance(problem, LocalProblem):
         raise Unsupported(f"{file}: --plot and --csv need displacements; a problem in local form has forces in --json")
@@ -278,7 +278,7 @@ def run_file(
     return _outcome(file, outline_of(problem), solution, failure, method=method or DEFAULT_METHOD, **about)
 
 
-def _called(file: str, problem: LocalProblem | ContactProblem, units: Units | None) -> LocalProblem | ContactProblem:
+def called(file: str, problem: LocalProblem | ContactProblem, units: Units | None) -> LocalProblem | ContactProblem:
     """Return a problem that states no units with names for them."""
     if units is None or not units.length:
         return problem

@@ -215,6 +215,12 @@ def _read(file: str) -> Mapping[str, Any]:
     return dict(data)
 
 
+def _names_units(units: Any) -> bool:
+    return units is None or (
+        set(units) == {"length", "force"} and all(isinstance(unit, str) for unit in units.values())
+    )
+
+
 def _is_receipt(data: Mapping[str, Any]) -> bool:
     """Return whether data has all entries of a receipt with their types; raises if it is no mapping."""
     options, verdict = data["options"], data["verdict"]
@@ -225,7 +231,8 @@ def _is_receipt(data: Mapping[str, Any]) -> bool:
     figures = [value for value in data["figures"].values() if value is not None]
     return (
         (data["schema"], data["schema_version"]) == (SCHEMA, SCHEMA_VERSION)
-        and set(options) == set(asdict(CheckOptions()))
+        and set(options) | {"units"} == set(asdict(CheckOptions()))  # receipts of earlier versions have no units
+        and _names_units(options.get("units"))
         and all(_may_name_a_file(text) for text in (*texts, *(value for value in maybe if value is not None)))
         and options["compression"] in COMPRESSION
         and all(type(value) in (int, float) and 0 <= value <= sys.float_info.max for value in (*numbers, *figures))

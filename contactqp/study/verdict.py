@@ -54,6 +54,7 @@ class CheckOptions:
     dof_map: str | None = None
     contact_map: str | None = None
     error_tolerance: float = 1e-6
+    units: dict[str, str] | None = None  # what those of matrices that state none are called
 
     def files(self) -> dict[str, str]:
         """Return the files that are named, by the name of their option; maps that are written out are none."""

@@ -293,3 +293,40 @@ def test_error_bounds_are_printed_and_in_the_json_of_right_and_wrong_answers(cap
     assert "error bounds, proven: displacement 0.1, contact forces 0.067" in out
     assert "no contact force is further off than 0.02" in out
     assert "no bound: energy_error, force_error, force_bound: friction" in run(capsys, "check", "pad", "answer.json")[1]
+
+
+def test_matrices_of_csv_files_are_told_what_their_units_are_called(capsys, tmp_path, monkeypatch):
+    """Nothing in such a folder can name them. A receipt keeps the names; those written before have none."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bar").mkdir()
+    files = {
+        "K": "1.x\n157500\n",
+        "load": "dof,load\n1.x,300\n",
+        "contacts": "contact,dof,coefficient,gap\nw,1.x,1,1e-3\n",
+    }
+    for name, text in files.items():
+        (tmp_path / "bar" / f"{name}.csv").write_text(text)
+    (tmp_path / "a.csv").write_text("contact,normal_force\nw,143\n")
+    (tmp_path / "a.json").write_text('{"units": {"length": "mm", "force": "N"}, "normal_force": {"w": 142.5}}')
+    code, out, _ = run(capsys, "check", "bar", "a.csv", "--units", "m,kN", "--receipt", "r.json")
+    assert code == 1
+    assert "force [kN]" in out
+    assert "gap [m]" in out
+    assert run(capsys, "check", "--verify", "r.json")[0] == 0
+    assert json.loads((tmp_path / "r.json").read_text())["options"]["units"] == {"length": "m", "force": "kN"}
+    assert run(capsys, "check", "bar", "a.csv", "--receipt", "r.json")[0] == 1
+    receipt = json.loads((tmp_path / "r.json").read_text())
+    assert receipt["options"].pop("units") is None
+    (tmp_path / "r.json").write_text(json.dumps(receipt))
+    assert run(capsys, "check", "--verify", "r.json")[0] == 0
+    for units in (3, {"length": "m"}, {"length": "m", "force": 1}):
+        receipt["options"]["units"] = units
+        (tmp_path / "r.json").write_text(json.dumps(receipt))
+        assert "expected a receipt" in run(capsys, "check", "--verify", "r.json")[2]
+    assert run(capsys, "check", "bar", "a.json")[0] == 0
+    code, _, err = run(capsys, "check", "bar", "a.json", "--units", "m,kN")
+    assert code == 2
+    assert "expected 'm', that of the problem, got 'mm'" in err
+    code, _, err = run(capsys, "check", CASES / "bar_wall.toml", "a.json", "--units", "m,kN")
+    assert code == 2
+    assert "expected a deck or matrices without units" in err
