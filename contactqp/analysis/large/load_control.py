@@ -265,8 +265,8 @@ class LoadControl:
 def _cure() -> str:
     """Return what may help where a step and its halves do not converge; nothing where the time limit ended it."""
     parts = f"parts of the step down to 1/{2**MOST_HALVINGS}"
-    words = f"; nor do {parts} converge: take more steps, unless nothing balances that load"
-    return "" if time_is_up() else words
+    cures = "take more steps, or a larger tolerance= if only rounding is left, unless nothing balances that load"
+    return "" if time_is_up() else f"; nor do {parts} converge: {cures}"
 
 
 def forces_of(solution: LargeSolution) -> Forces:
