@@ -100,7 +100,8 @@ def _no_bodies(scene: SceneData) -> None:
     for i, obstacle in enumerate(scene.obstacles):
         if obstacle.kind != "plane" and not scene.large:
             raise SceneError(
-                f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}"
+                f"obstacles[{i}].kind ({obstacle.name!r}): expected a plane for nodes, got {obstacle.kind!r}: round "
+                "obstacles take deformation = 'large', at small displacements their tangent plane does"
             )
     for i, contact in enumerate(scene.contacts):
         if not contact.touched:

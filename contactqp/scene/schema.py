@@ -54,7 +54,8 @@ _TOUCHING = ("node", "nodes", "side", "sides", "membrane")
 class Obstacle(Block):
     """A rigid obstacle; bodies are outside of it, or in the hole that it leaves if `inside`.
 
-    plane: through `point`; `normal`, of any length, points out of it, to where the body is.
+    plane: through `point`; `normal`, of any length, points out of it, to where the body is. At small displacements
+    nodes touch planes only; sides of bodies touch all of these.
     circle (2D), sphere (3D): around `centre`. cylinder (3D): infinite, about the `axis` through `point`.
     paraboloid (2D or 3D): `radius` is that of curvature at its `apex`; `axis` points out of it. Its gap is measured
     along the axis, as Hertz's theory does, or with ``measure = "normal"`` as the distance.

@@ -213,7 +213,7 @@ OF_SMALL = {
     "a ball": (
         'name = "floor", point = ["0 m", "-0.1 m"], normal = [0, 1]',
         'name = "floor", kind = "circle", centre = ["0 m", "-1 m"], radius = "0.9 m"',
-        "obstacles[0].kind ('floor'): expected a plane for nodes",
+        "expected a plane for nodes, got 'circle': round obstacles take deformation = 'large'",
     ),
 }
 
