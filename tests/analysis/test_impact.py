@@ -158,6 +158,17 @@ def test_newtons_cradle_hands_on_all_speed() -> None:
     assert [event.contact for event in history.events if event.kind == "closed"] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_masses_that_touch_leave_together_by_newtons_law(count: int) -> None:
+    """Momentum and energy: one against count - 1 that move as one. A cradle of balls needs gaps between them."""
+    rows = np.eye(count - 1, count) - np.eye(count - 1, count, k=1)
+    gap = [0.1, *np.zeros(count - 2)]
+    balls = cq.ContactProblem(np.zeros((count, count)), np.zeros(count), rows, gap)
+    start = np.zeros(count), np.eye(count)[0]
+    history = cq.impact(balls, np.ones(count), *start, 0.5, 0.01, restitution=1.0)
+    np.testing.assert_allclose(history.velocities[-1], [2 / count - 1, *[2 / count] * (count - 1)], atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("gap", "step", "energy"), [(0.1, 0.01, 0.5), (0.001, 0.01, 3 / 5), (0.001, 0.003, 11 / 18), (0.001, 0.0005, 0.5)]
 )
