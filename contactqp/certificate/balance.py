@@ -221,7 +221,7 @@ def hides_strain(problem: ContactProblem, displacement: Vector, rigid: RigidMoti
     rigid : the rigid motions of the bodies
     size, left : what loads and gaps strain, and what residuals hide without friction [square root of energy]
     """
-    doubles = rigid_rounding(problem, rigid, displacement) * (EPS / RIGID_ROUNDING)
+    doubles = rigid_rounding(problem, rigid.count > 0, displacement) * (EPS / RIGID_ROUNDING)
     return 0 < size < (doubles if problem.frictional else left / HIDDEN)
 
 

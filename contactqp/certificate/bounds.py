@@ -313,13 +313,13 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     push, changed, floats = pair.force.double(), changes[0].double(), bool(condensation.rigid.count)
     forces = (pair.force, pair.tie_force) if pair.exact else None
     strain = strain_of(problem, solution, condensation, forces) if floats else energy_norm(problem, solution)
-    (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, condensation.rigid, answer.displacement)
+    (energy_scale, uncertain), rigid = strain, rigid_rounding(problem, floats, answer.displacement)
     distance = energy_norms(problem, condensation, pair.to_middle)[1] + pair.radius
     moved = solution.double() if floats and pair.exact else answer.displacement  # may be far from the solution
     farther = replace(answer, displacement=np.maximum(abs(answer.displacement), abs(moved))) if floats else answer
     rounding = 4 * residual_noise(problem, farther) + VANISHING * energy_scale
     size, own = force_size(problem, problem.normal, push), np.sqrt(own_compliance(problem, problem.normal))
-    if floats and energy_scale <= rigid_rounding(problem, condensation.rigid, moved):
+    if floats and energy_scale <= rigid_rounding(problem, floats, moved):
         uncertain += STRAINED_BY_ROUNDING * strain_of_rigid_part(problem, condensation, moved)
         rigid = max(rigid, 2 * uncertain)  # the answer may have the same strain
     if pair.exact and energy_scale <= pair.radius and not (problem.load.any() or push.any()):

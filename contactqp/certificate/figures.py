@@ -482,9 +482,9 @@ def residual_noise(problem: ContactProblem, answer: Answer) -> float:
     return float(FINE_EPS / np.sqrt(RIGID_FORCE) * np.linalg.norm(scale * forces_that_meet(problem, answer)))
 
 
-def rigid_rounding(problem: ContactProblem, rigid: RigidMotions, displacement: Vector) -> float:
+def rigid_rounding(problem: ContactProblem, floats: bool, displacement: Vector) -> float:
     """Return the energy norm of the rounding of a rigid displacement, zero if nothing floats."""
-    if not rigid.count:
+    if not floats:
         return 0.0
     size = abs(displacement)
     return float(RIGID_ROUNDING * np.sqrt(size @ (problem.stiffness_sizes @ size)))

@@ -241,7 +241,7 @@ class CondensedBodies:
 
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
-        return rigid_rounding(self._problem, self._condensation.rigid, displacement)
+        return rigid_rounding(self._problem, self.floats, displacement)
 
 
 class _Comparison:

@@ -20,7 +20,12 @@ from contactqp.certificate.figures import energy_norm, response, rigid_rounding
 from contactqp.certificate.multigrid_bounds import iterated_bounds
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import StiffnessFactor, refuse_indefinite_by_iteration, stiffness_factor
+from contactqp.linalg.convexity import (
+    StiffnessFactor,
+    refuse_indefinite,
+    refuse_indefinite_by_iteration,
+    stiffness_factor,
+)
 from contactqp.linalg.delassus import (
     ContactCompliance,
     RefinedForces,
@@ -88,14 +93,14 @@ class Bodies(Protocol):
 
 
 class SparseBodies:
-    """Supported bodies in the plane in all unknowns; a contact's compliance is that of its own unknowns."""
-
-    floats = False
+    """Bodies in the plane in all unknowns; a contact's compliance is that of its own unknowns."""
 
     def __init__(self, problem: ContactProblem) -> None:
         from contactqp.linalg.sparse_states import frictional_rows
 
+        refuse_indefinite(problem)
         self._problem, self._rows = problem, frictional_rows(problem)
+        self.floats = self._rows.floats
         self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
         self.along, self.across = (row_sizes(problem, rows).compliance for rows in (problem.normal, problem.tangent))
 
@@ -106,7 +111,7 @@ class SparseBodies:
         return refined_sparse(self._problem, status, start)
 
     def response_norm(self, normal: Vector, friction: Array) -> float:
-        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, 1)."""
+        """Return the energy norm of the response of the tied bodies to contact forces (m,), (m, 1), less resultants."""
         assert self._problem.tangent is not None
         load = self._problem.normal.T @ normal + self._problem.tangent.T @ friction.ravel()
         return self._rows.system(self._problem, np.full(len(normal), OPEN, dtype=np.int8)).response_norm(load)
@@ -126,9 +131,8 @@ class SparseBodies:
         return stiffness_factor(self._problem)
 
     def rounding(self, displacement: Vector) -> float:
-        """Return 0, since no body floats."""
-        del displacement
-        return 0.0
+        """Return the energy norm of the rounding of a rigid displacement."""
+        return rigid_rounding(self._problem, self.floats, displacement)
 
 
 # The error in energy of the iterative solution of a combination, and the most updates of slip directions in space.
@@ -220,7 +224,7 @@ class IteratedBodies:
 
     def rounding(self, displacement: Vector) -> float:
         """Return the energy norm of the rounding of a rigid displacement."""
-        return rigid_rounding(self._problem, self._iteration.rigid, displacement)
+        return rigid_rounding(self._problem, self.floats, displacement)
 
 
 def squared_lengths(rows: Any, problem: ContactProblem) -> Vector:

@@ -292,27 +292,24 @@ def _least_energetic(motions: Array, forces: Array) -> Array:
 
 def null_space(matrix: Any) -> RigidMotions:
     """Return the null space of a positive semidefinite matrix, component by component of its graph."""
+    motions, softest = null_space_by_part(matrix)
+    return RigidMotions(motions.toarray(), softest)
+
+
+def null_space_by_part(matrix: Any) -> tuple[Any, float]:
+    """Return the motions of `null_space` as a sparse matrix (n, q), and the least energy of others that are soft."""
     graph = sp.csr_matrix(matrix)
     count, label = connected_parts(graph)
     order, diagonal = np.argsort(label, kind="stable"), graph.diagonal()
-    bounds = np.searchsorted(label[order], np.arange(count + 1))
-    columns, rows, values, found, softest = [], [], [], 0, 1.0
-    for c in range(count):
-        members = order[bounds[c] : bounds[c + 1]]
-        alone = len(members) == 1
-        if alone and diagonal[members[0]] != 0:
-            continue
-        local = RigidMotions(np.ones((1, 1))) if alone else _null_space_of_component(graph[members][:, members])
-        softest = min(softest, local.softest) if local.count else softest
-        for column in local.motions.T:
-            rows.append(members)
-            columns.append(np.full(len(members), found))
-            values.append(column)
-            found += 1
-    if not found:
-        return RigidMotions(np.zeros((graph.shape[0], 0)))
-    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return RigidMotions(np.asarray(sp.csr_matrix(entries, shape=(graph.shape[0], found)).toarray()), softest)
+    parts = np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+    parts = [some for some in parts if len(some) > 1 or diagonal[some[0]] == 0]
+    lone = RigidMotions(np.ones((1, 1)))
+    found = [_null_space_of_component(graph[some][:, some]) if len(some) > 1 else lone for some in parts]
+    softest = min((local.softest for local in found if local.count), default=1.0)
+    if not parts:
+        return sp.csr_matrix((graph.shape[0], 0)), softest
+    motions, place = sp.block_diag([local.motions for local in found], format="coo"), np.concatenate(parts)
+    return sp.csr_matrix((motions.data, (place[motions.row], motions.col)), (len(order), motions.shape[1])), softest
 
 
 def condensed_null_space(matrix: Any, retained: Indices, elimination: Any, scale: Array) -> RigidMotions:

@@ -222,8 +222,8 @@ def _constraints_are_many(problem: ContactProblem) -> bool:
     by_solver = BY_PARDISO if pardiso.available() else BY_SUPERLU
 
     def predicted(operations: float) -> tuple[float, float]:
-        # Neither interior points nor floating bodies allow combinations of states with friction.
-        with_backends = np.inf if problem.frictional else PER_UNKNOWN * size + IN_BACKENDS * operations
+        few = problem.frictional and (problem.ties or problem.contacts <= MANY_WITH_FRICTION)  # unique where condensed
+        with_backends = np.inf if few else PER_UNKNOWN * size + IN_BACKENDS * operations
         return with_backends, PER_ENTRY * per_row * size + by_solver * operations
 
     if dense > max(predicted(grid)):

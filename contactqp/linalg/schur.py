@@ -377,7 +377,7 @@ class Band:
             raise BackendFailed(f"lapack: pivot {singular} is zero")
 
         def solve(right: Vector) -> Vector:
-            found = np.empty(size)
+            found = np.empty(right.shape)
             found[order] = dgbtrs(factors, width, width, right[order], exchanges)[0]
             return found
 

@@ -8,22 +8,28 @@ condensation.
 
 is the system of `contactqp.linalg.friction_states` before condensation, in the same scale: unknowns by 1/sqrt(K_jj),
 rows of unit length in the energy. The d on the diagonal, as in `contactqp.linalg.sparse_saddle`, permits a sparse
-elimination in any order; residuals in extended precision remove its effect. It is meant for supported bodies.
+elimination in any order; residuals in extended precision remove its effect. Where bodies float,
+H' (H u - h) is added in place of d u, with H u = h the equations of lengths: this changes no answer.
 Successive combinations differ in few contacts, and the factors of one are reused for the next.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
+from contactqp.linalg.convexity import moves_beyond_bodies
 from contactqp.linalg.equilibration import scaled_by
+from contactqp.linalg.factorization import null_space_by_part
 from contactqp.linalg.friction_states import MAX_SWEEPS, Correction, RefinedState, refined_by
-from contactqp.linalg.schur import factorised
+from contactqp.linalg.iteration import held_by_hierarchy
+from contactqp.linalg.schur import factorised, with_pivots
 from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
@@ -37,8 +43,8 @@ KEPT = 2
 # The most changed equations for which the factors of a combination are reused; for more, the back-substitutions take as
 # long as new factors.
 MOST_CHANGES = 32
-# A system is singular if the response to unit right-hand sides exceeds this part of 1/d.
-ALMOST_FREE = 1e-3
+# A system is singular if its factors return a known solution with a relative error above this.
+SINGULAR = 1e-3
 
 # A solution or right-hand side: unknowns (n,), normal and friction forces of contacts (m,), and ties (k,).
 _Parts = tuple[Vector, Vector, Vector, Vector]
@@ -63,6 +69,13 @@ class SparseFrictionalRows:
         )
         self.slides = np.diff(self.tangent.indptr) > 0
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
+        # A basis (n, q) of the rigid motions of bodies that float, orthonormal in the same scale.
+        held = held_by_hierarchy(problem) or not problem.diagonal.all() or moves_beyond_bodies(problem)
+        n = problem.dimension
+        motions = sp.csr_matrix((n, 0)) if held else null_space_by_part(problem.stiffness_rows)[0]
+        self.motions = sp.csr_matrix(sp.diags(1 / self.scale) @ motions)
+        self.floats = motions.shape[1] > 0
+        self._order, self._ordered = pardiso.EliminationOrder(n), False
         self._systems: dict[bytes, StateSystem] = {}
         self._factorised: SparseStateSystem | None = None
         self.factorisations = 0
@@ -75,6 +88,30 @@ class SparseFrictionalRows:
                 self._systems.pop(next(iter(self._systems)))
             self._systems[key] = self._made(problem, status)
         return self._systems[key]
+
+    def joined(self, matrix: Any, upper: Any, kind: int) -> Callable[[Array], Array]:
+        """Return a function that solves with a saddle point whose upper block holds the constrained rows, too.
+
+        Rows are exchanged, or eliminated after their unknowns: a pivot -d would hide the stiffness of a body that hangs
+        on many others.
+
+        Raises BackendFailed: the upper block is singular, or PARDISO is needed and not installed.
+
+        Parameters
+        ----------
+        matrix, upper : (p, p) and (n, n) sparse matrices, the saddle point and its upper block
+        kind : as in `factorised`
+        """
+        try:
+            return with_pivots(matrix)
+        except BackendFailed:
+            if not pardiso.available():
+                raise
+        unknowns = np.arange(len(self.scale))
+        if not self._ordered:
+            self._order.factorised(sp.csc_matrix(upper), unknowns)
+            self._ordered = True
+        return self._order.factorised(matrix, unknowns, kind).solve_all
 
     def _made(self, problem: ContactProblem, status: Status) -> StateSystem:
         """Return the system of a combination, by the factors of the last one if few equations differ."""
@@ -157,11 +194,14 @@ class StateSystem(ABC):
         return force, gap, slip, right[3] - rows.tie @ u
 
     def _regular(self) -> bool:
-        """Return whether the response to random right-hand sides is smaller than regularisation alone would allow."""
+        """Return whether a random solution is found to some digits from the right-hand sides that belong to it."""
         random, rows = np.random.default_rng(0), self._rows
         sizes = (len(rows.scale), len(self.status), len(self.status), len(rows.tie_length))
-        response = np.concatenate(self._once(*(random.uniform(0.5, 1.0, size) for size in sizes)))
-        return bool(np.max(abs(response), initial=0.0) < ALMOST_FREE / REGULARISATION)
+        u, normal, friction, tied = (random.uniform(0.5, 1.0, size) for size in sizes)
+        given = u, np.where(self._closed, normal, 0.0), np.where(self._stuck, friction, 0.0), tied
+        right = self._left((np.zeros(sizes[0]), np.zeros(sizes[1]), np.zeros(sizes[2]), np.zeros(sizes[3])), given)
+        found = self._once(*(-part for part in right))
+        return all(bool(np.all(abs(part - own) <= SINGULAR)) for part, own in zip(found, given, strict=True))
 
     def correct(self, load: Vector, gap: Vector, slip: Vector, tie: Vector) -> Correction:
         """Return du (n,), dl_N (m,), dl_T (m, 1) of sticking contacts and dnu (k,) from residuals of the problem.
@@ -180,6 +220,7 @@ class StateSystem(ABC):
     def response_norm(self, load: Vector) -> float:
         """Return the energy norm of the response to a load (n,) with all constrained lengths held at zero."""
         held, scaled = np.zeros(len(self.status)), load * self._rows.scale
+        scaled = scaled - self._rows.motions @ (self._rows.motions.T @ scaled)  # nothing elastic resists these
         moved = self._once(scaled, held, held, np.zeros(len(self._rows.tie_length)))[0]
         return float(np.sqrt(max(float(scaled @ moved), 0.0)))
 
@@ -195,16 +236,19 @@ class SparseStateSystem(StateSystem):
         self.closed, self.stuck = closed, stuck = (np.flatnonzero(self._closed), np.flatnonzero(self._stuck))
         held = sp.vstack([rows.normal[closed], rows.tangent[stuck], rows.tie], format="csr")
         dragged = sp.diags(self.drag[closed]) @ rows.tangent[closed]
-        more = sp.csr_matrix((held.shape[0] - len(closed), held.shape[1]))
+        count, n = held.shape
         slips = bool(np.any(self.drag))
-        pushed = held + sp.vstack([dragged, more], format="csr") if slips else held
-        upper = rows.S + REGULARISATION * sp.identity(held.shape[1])
-        lower = -REGULARISATION * sp.identity(held.shape[0])
-        matrix = sp.bmat([[upper, pushed.T], [held, lower]], format="csc")
-        symmetric = pardiso.INDEFINITE if held.shape[0] else pardiso.POSITIVE_DEFINITE
+        pushed = held + sp.vstack([dragged, sp.csr_matrix((count - len(closed), n))], format="csr") if slips else held
+        self._joined = held if rows.floats and count else sp.csr_matrix((count, n))
+        upper = rows.S + (self._joined.T @ held if self._joined.nnz else REGULARISATION * sp.identity(n))
+        matrix = sp.bmat([[upper, pushed.T], [held, -REGULARISATION * sp.identity(count)]], format="csc")
+        symmetric = pardiso.INDEFINITE if count else pardiso.POSITIVE_DEFINITE
         kind = pardiso.UNSYMMETRIC if slips else symmetric
         self.size = matrix.shape[0]
-        self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), np.arange(problem.dimension))
+        if self._joined.nnz:
+            self._factor = rows.joined(matrix, upper, kind)
+        else:
+            self._factor = factorised(matrix, kind, pardiso.elimination_order(problem), np.arange(problem.dimension))
         self.regular = self._regular()
 
     def by_factors(self, right: Array) -> Array:
@@ -220,7 +264,8 @@ class SparseStateSystem(StateSystem):
         load, gap, slip, tie : (n,), (m,), (m,), (k,) arrays
             What is out of balance, and what gaps, slips and ties miss; of gaps and slips those enter that are held.
         """
-        return np.concatenate([load, gap[self.closed], slip[self.stuck], tie])
+        lengths = np.concatenate([gap[self.closed], slip[self.stuck], tie])
+        return np.concatenate([load + self._joined.T @ lengths, lengths])
 
     def places(self) -> tuple[Indices, Indices]:
         """Return the indices of normal and of sticking forces in the system, (m,) each, -1 for none."""
@@ -271,6 +316,10 @@ class ChangedStateSystem(StateSystem):
         )
         dragged = _padded(sp.csr_matrix(sp.diags(drag[closes]) @ rows.tangent[closes]), size)
         columns = sp.vstack([zero, free, felt + dragged, stuck, along])
+        if rows.floats:  # a row that is no longer met leaves the upper block, too
+            gone = sp.vstack([rows.normal[opens], rows.tangent[frees]], format="csr")
+            gone.resize(columns.shape[0], size)
+            columns = columns + gone
         slides, slides_back = sp.diags(drag[frees]), sp.diags((before - drag)[turns])
         bounds = (slides @ _units(pushing[frees], size), slides_back @ _units(pushing[turns], size))
         self._equations = sp.csr_matrix(sp.vstack([zero, free - bounds[0], felt, stuck, bounds[1]]))

@@ -10,30 +10,36 @@ step or two. If combinations recur, one contact at a time is changed, the one wi
 
 With many contacts (`solve_sparse_newton`) the systems are those of `contactqp.linalg.sparse_states`, which contain
 every unknown of the bodies. The start is then the contacts that close without friction, all of them stuck, which the
-active set on a hierarchy finds, or the combination of a known answer.
+active set on a hierarchy finds, or the combination of a known answer. Bodies that float may be held by friction alone:
+the combinations of Tresca's problems, which an interior point solves, are tried one after another.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.certificate.certificate import holds
-from contactqp.errors import BackendFailed, NotConverged
+from contactqp.errors import BackendFailed, BackendMissing, NotConverged
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.convexity import refuse_indefinite
 from contactqp.linalg.dense import OPERATOR_ROUNDING, unknown_scale
+from contactqp.linalg.equilibration import equilibrated
 from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, answer_in, without_noise
-from contactqp.linalg.iteration import iteration
+from contactqp.linalg.iteration import condense_anyway, held_by_hierarchy, iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
-from contactqp.model.arrays import Mask, Vector, all_finite, stated_limit
+from contactqp.model.arrays import Indices, Mask, Vector, all_finite, refuse_late, stated_limit
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.force_system import CombinationAnswer, ForceSystem, Lengths
-from contactqp.solving.methods import Settings
+from contactqp.solving.methods import Settings, find
 from contactqp.solving.methods.inexact_active_set import identified_by_iteration
 
 # Signs that fail by this part of the largest length or force, both in sqrt(energy), fail by rounding.
@@ -249,6 +255,9 @@ class SparseNewtonAnswer:
 
 # The answer without friction must be accurate enough for its slips.
 SLIPS_KNOWN = 1e-6
+# Where bodies float: the tolerance of the interior point for Tresca's problems, the most of them, and the part of the
+# largest bound of friction below which one is none.
+ROUGH, MAX_TRESCA_STEPS, NO_BOUND = 1e-8, 12, 1e-9
 # A contact is assumed to slip if it slips without friction by more than this multiple of the displacement of its
 # unknowns alone by the friction bound, as the surface around it moves along. On strips with friction between 0.05 and 1
 # this saves up to two of six combinations.
@@ -256,14 +265,29 @@ COMPLIANT = 30.0
 
 
 def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNewtonAnswer:
-    """Find Coulomb's answer in the plane for bodies that are held.
+    """Find Coulomb's answer in the plane, from one combination or, where bodies float, from those of Tresca's problems.
 
     Raises NotConverged: the combinations come back, or one of them has a system without an inverse.
     """
+    refuse_indefinite(problem)  # which contacts may hide
+    last, tried = NotConverged("newton: no combination to start from was found"), set[bytes]()
+    for start in _starts(problem, settings):
+        if start.tobytes() not in tried:
+            tried.add(start.tobytes())
+            try:
+                return _from_combination(problem, start, settings.now)
+            except NotConverged as error:
+                last = error
+                refuse_late("newton: another combination began")
+    condense_anyway(problem)  # other algorithms do, and the certificate then uses that
+    raise last
+
+
+def _from_combination(problem: ContactProblem, start: Status, settings: Settings) -> SparseNewtonAnswer:
     rows, spent, began = frictional_rows(problem), 0, time.perf_counter()
     before = rows.factorisations
     here = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(problem.ties))
-    status, seen = _plain(rows, _first(problem, settings)), set()
+    status, seen = _plain(rows, start), set()
     for step in range(1, (settings.max_iter or MAX_SPARSE_STEPS) + 1):
         seen.add(status.tobytes())
         try:
@@ -292,10 +316,19 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
     raise NotConverged(f"newton: no combination of open, stick and slip whose signs hold ({len(seen)} tried)")
 
 
-def _first(problem: ContactProblem, settings: Settings) -> Status:
-    """Return the combination of a known answer, or of the answer without friction with slip where that slips far."""
+def _starts(problem: ContactProblem, settings: Settings) -> Iterator[Status]:
+    """Yield the combination of a known answer; else that without friction or, where bodies float, Tresca's."""
+    held = held_by_hierarchy(problem)
     if settings.warm_start is not None:
-        return combination_of(problem, settings.warm_start.answer)
+        yield combination_of(problem, settings.warm_start.answer)
+    elif held:
+        yield _without_friction(problem, settings)
+    if not held:
+        yield from _by_tresca(problem, settings)
+
+
+def _without_friction(problem: ContactProblem, settings: Settings) -> Status:
+    """Return the combination of the answer without friction, with slip where that slips far."""
     identified = identified_by_iteration(problem, iteration(problem), settings, SLIPS_KNOWN)
     if identified is None:
         raise NotConverged("newton: the contacts that close without friction were not found")
@@ -307,6 +340,72 @@ def _first(problem: ContactProblem, settings: Settings) -> Status:
     held = COMPLIANT * own_compliance(problem, problem.tangent) * problem.friction * found.normal_force
     closed = np.where(abs(slip) <= held, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
     return np.where(found.normal_force > 0, closed, OPEN).astype(np.int8)
+
+
+def _by_tresca(problem: ContactProblem, settings: Settings) -> Iterator[Status]:
+    """Yield the combinations of convex problems, in each of which friction is bounded by mu times the last forces.
+
+    In the first one tangential springs, as stiff as the bodies at the contacts, act in place of friction.
+    """
+    assert problem.friction is not None
+    bounds: Vector | None = None
+    for _ in range(MAX_TRESCA_STEPS):
+        bounded, posed = _with_springs(problem) if bounds is None else _with_bounds(problem, bounds)
+        found = _roughly(posed, settings)
+        if found is None:
+            return
+        yield _combination(problem, found, bounded, bounds)
+        bounds = problem.friction * np.maximum(found.normal_force[: problem.contacts], 0.0)
+
+
+def _with_springs(problem: ContactProblem) -> tuple[Indices, ContactProblem]:
+    """Return no contacts, and the problem with springs along the tangents of contacts in place of friction."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    assert problem.friction is not None
+    compliance = own_compliance(problem, problem.tangent)
+    rubs = (compliance > 0) & (problem.friction > 0)
+    springs = sp.diags(np.divide(1.0, compliance, out=np.zeros(len(compliance)), where=rubs)) @ problem.tangent
+    K, load = problem.tangent.T @ springs, springs.T @ problem.slip_origin.ravel()
+    held = ContactProblem(problem.stiffness_rows + K, problem.load + load, problem.normal, problem.gap)
+    return np.zeros(0, dtype=np.intp), held
+
+
+def _with_bounds(problem: ContactProblem, bounds: Vector) -> tuple[Indices, ContactProblem]:
+    """Return the contacts with a notable bound b of friction, and Tresca's problem, |T u - o| <= s costing b s."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    bounded = np.flatnonzero(bounds > NO_BOUND * np.max(bounds, initial=0.0))
+    count, along, origin = len(bounded), problem.tangent[bounded], problem.slip_origin.ravel()[bounded]
+    one = sp.identity(count, format="csr")
+    rows = sp.bmat([[problem.normal, None], [along, -one], [-along, -one]], format="csr")
+    K = sp.block_diag([problem.stiffness_rows, sp.csr_matrix((count, count))], format="csr")
+    gap = np.concatenate([problem.gap, origin, -origin])
+    return bounded, ContactProblem(K, np.append(problem.load, -bounds[bounded]), rows, gap)
+
+
+def _combination(problem: ContactProblem, found: Answer, bounded: Indices, bounds: Vector | None) -> Status:
+    """Return the combination of a rough answer: forces and gaps, room of friction and slips are compared as lengths."""
+    assert problem.tangent is not None
+    assert problem.slip_origin is not None
+    m, u = problem.contacts, found.displacement[: problem.dimension]
+    slip, status = problem.tangent @ u - problem.slip_origin.ravel(), np.full(m, STICK)
+    if bounds is not None:
+        room = bounds.copy()
+        room[bounded] -= abs(np.subtract(*np.split(found.normal_force[m:], 2)))
+        sticks = abs(slip) < own_compliance(problem, problem.tangent) * room
+        status = np.where(sticks, STICK, np.where(slip > 0, SLIP_ON, SLIP_BACK))
+    closed = own_compliance(problem, problem.normal) * found.normal_force[:m] > problem.gap - problem.normal @ u
+    return np.where(closed, status, OPEN).astype(np.int8)
+
+
+def _roughly(problem: ContactProblem, settings: Settings) -> Answer | None:
+    """Return the answer of an interior point to a convex problem, None if it finds none."""
+    twin, scaling = equilibrated(problem)
+    with suppress(BackendFailed, BackendMissing):
+        found = find("clarabel").solve(twin, Settings(ROUGH, None, settings.now.time_limit))
+        return scaling.unscale(found).answer if found.claimed else None
+    return None
 
 
 def _plain(rows: SparseFrictionalRows, status: Status) -> Status:

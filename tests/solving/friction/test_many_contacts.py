@@ -15,6 +15,7 @@ from contactqp.linalg.iteration import condense_anyway, constraints_are_many
 from contactqp.linalg.sparse_states import MOST_CHANGES, ChangedStateSystem, SparseStateSystem, frictional_rows
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction import newton
+from contactqp.solving.methods import Settings
 
 pytest.importorskip("pyamg")
 
@@ -197,3 +198,103 @@ def test_many_contacts_take_newtons_method_from_the_answer_without_friction(
     largest = reference.normal_force.max()
     np.testing.assert_allclose(found.normal_force, reference.normal_force, rtol=0, atol=1e-14 * largest)
     np.testing.assert_allclose(found.friction_force, reference.friction_force, rtol=0, atol=1e-14 * largest)
+
+
+WEIGHT, BLOCKS = 2.0**-20, 52
+
+
+def column(blocks: int, push: float) -> tuple[cq.ContactProblem, list[int]]:
+    """Blocks on each other, of 7 and 5 cells in turn, all nodes loaded, the lowest held; contacts of each joint."""
+    material = Material(1.0, 0.3)
+    shapes = [
+        rectangle(1.0, 0.3, (7 - 2 * (i % 2), 2)).mapped(lambda x, i=i: np.add(x, [0.0, 0.3 * i]))
+        for i in range(blocks)
+    ]
+    bodies = [Body(shape, material, "plane-strain", name=f"{i}") for i, shape in enumerate(shapes)]
+    structure = Structure(bodies)
+    joints = [(structure.surface(f"{i}", "top"), structure.surface(f"{i + 1}", "bottom")) for i in range(blocks - 1)]
+    pairs = [cq.pair_mortar(*joint) for joint in joints]
+    assembled = structure.assemble([Support("0", "bottom", axis) for axis in range(2)])
+    load = np.concatenate([np.tile([push, -WEIGHT], len(body.mesh.points)) for body in bodies])
+    return assembled.problem(pairs, friction=0.3).replace(load=load[assembled.free]), [p.normal.shape[0] for p in pairs]
+
+
+@pytest.mark.slow
+def test_floating_blocks_carry_what_lies_on_them() -> None:
+    """The resultants of each joint are the loads above it; dense systems took twelve times as long."""
+    push = WEIGHT / 4096
+    problem, counts = column(BLOCKS, push)
+    assert constraints_are_many(problem)
+    solution = cq.solve(problem)
+    assert (solution.work.retained, solution.certificate.basis) == (problem.dimension, "state")
+    assert solution.certificate.passed
+    above = np.cumsum([3 * (8 - 2 * (i % 2)) for i in range(BLOCKS)][:0:-1])[::-1]
+    starts = np.cumsum([0, *counts[:-1]])
+    assert np.add.reduceat(solution.normal_force, starts) == pytest.approx(WEIGHT * above, rel=1e-12)
+    assert np.add.reduceat(solution.friction_force[:, 0], starts) == pytest.approx(push * above, rel=1e-11)
+    largest = solution.normal_force.copy()
+    largest[np.argmax(largest)] *= 1 + 1e-5
+    forged = cq.certify(problem, solution.displacement, largest, solution.friction_force)
+    assert not forged.passed
+
+
+def bricks(courses: int, columns: int) -> cq.ContactProblem:
+    """Bricks laid half over each other, of different stiffness, pushed along: some contacts slip, others open."""
+    rng, bodies, joints = np.random.default_rng(3), [], []
+    places = [(row, k + row % 2 / 2) for row in range(courses) for k in range(columns - row % 2)]
+    for row, left in places:
+        shape = rectangle(0.98, 0.5, (4, 2)).mapped(lambda x, row=row, left=left: np.add(x, [left, 0.5 * row]))
+        bodies.append(Body(shape, Material(10 ** rng.uniform(-1, 1), 0.3), "plane-strain", name=f"{row} {left}"))
+    structure = Structure(bodies)
+    held = [Support(f"0 {float(k)}", "bottom", axis) for k in range(columns) for axis in range(2)]
+    for row, left in places[columns:]:
+        below = [f"{row - 1} {left + half}" for half in (-0.5, 0.5) if (row - 1, left + half) in places]
+        upper = structure.surface(f"{row} {left}", "bottom")
+        joints += [cq.pair_mortar(upper, structure.surface(name, "top")) for name in below]
+    assembled = structure.assemble(held)
+    load = np.concatenate([np.tile([0.1e-5, -1e-5], len(body.mesh.points)) for body in bodies])
+    return assembled.problem(joints, friction=0.5).replace(
+        load=(load * rng.uniform(0.5, 1.5, len(load)))[assembled.free]
+    )
+
+
+@pytest.mark.slow
+def test_combinations_of_convex_problems_lead_to_what_dense_systems_find() -> None:
+    """Friction alone holds the bricks: from contacts that all stick Newton's method meets a brick that is free."""
+    problem = bricks(6, 5)
+    dense = cq.solve(problem)
+    assert {"open", "slip", "stick"} <= set(dense.contact_status)
+    sparse = newton.solve_sparse_newton(problem, Settings(1e-9)).answer
+    largest = float(np.max(dense.normal_force))
+    assert sparse.normal_force == pytest.approx(dense.normal_force, abs=1e-12 * largest)
+    assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
+
+
+@pytest.mark.slow
+def test_a_body_that_contacts_hide_is_refused_for_its_negative_stiffness() -> None:
+    problem, _ = column(BLOCKS, 0.0)
+    unknowns = 30 + np.arange(36)  # the second block
+    block = problem.stiffness[unknowns][:, unknowns].toarray()
+    values, modes = np.linalg.eigh(block)
+    changed = block - 1.001 * values[3] * np.outer(modes[:, 3], modes[:, 3])
+    K = problem.stiffness.tolil()
+    K[np.ix_(unknowns, unknowns)] = (changed + changed.T) / 2
+    with pytest.raises(cq.InvalidProblem, match="positive semidefinite"):
+        cq.solve(problem.replace(stiffness=K.tocsr()))
+
+
+@pytest.mark.slow
+def test_floating_blocks_are_solved_by_the_factors_of_another_combination() -> None:
+    problem, _ = column(12, 0.0)
+    rows, m = frictional_rows(problem), problem.contacts
+    assert rows.floats
+    status = np.full(m, STICK, dtype=np.int8)
+    status[::9] = SLIP_ON
+    changed = status.copy()
+    changed[[0, 9, 13, 20]] = STICK, OPEN, OPEN, SLIP_BACK
+    by_factors = ChangedStateSystem(rows, SparseStateSystem(problem, rows, status), changed)
+    anew, rng = SparseStateSystem(problem, rows, changed), np.random.default_rng(0)
+    assert by_factors.regular
+    right = [rng.normal(size=size) for size in (problem.dimension, m, m, 0)]
+    for here, there in zip(*(vars(system.correct(*right)).values() for system in (by_factors, anew)), strict=True):
+        assert here == pytest.approx(there, abs=1e-11 * float(np.max(abs(there), initial=0.0)))
