@@ -241,13 +241,13 @@ class StiffnessRows(SparseRows):
         self._last: tuple[Extended, Extended] | None = None
 
     def __matmul__(self, vector: Extended) -> Extended:
-        if self._last is not None and (sizes := self._shared.sizes) is not None:
-            change = (vector - self._last[0]).double()
+        last, sizes = self._last, self._shared.sizes  # read at once, as other threads may store another product
+        if last is not None and sizes is not None:
+            change = (vector - last[0]).double()
             if (sizes @ abs(change) <= SLIGHT * (sizes @ abs(vector.hi))).all():
-                return self._last[1] + np.asarray(self._rows @ change)
-        product = super().__matmul__(vector)
-        self._last = vector, product
-        return product
+                return last[1] + np.asarray(self._rows @ change)
+        self._last = last = vector, super().__matmul__(vector)
+        return last[1]
 
 
 class ExtendedMatrix(Protocol):

@@ -118,6 +118,21 @@ def test_a_slight_change_of_a_displacement_changes_its_elastic_forces_by_a_produ
     assert len(products) == 4
 
 
+def test_a_product_that_another_thread_stores_meanwhile_is_not_mixed_with_the_last_one():
+    """Problems with other contacts share a stiffness, but no lock; here |K| stores another product when asked."""
+    problem = cq.ContactProblem(np.diag([1.0, 2.0, 3.0]), np.ones(3), np.eye(3), np.ones(3))
+
+    class Meanwhile:
+        def __matmul__(self, sizes):
+            rows._last = extend(np.full(3, 7.0)), extend(np.full(3, 9.0))
+            return problem.stiffness_sizes @ sizes
+
+    rows = StiffnessRows(problem.stiffness_rows, OfStiffness(sizes=Meanwhile()))
+    for _ in range(2):
+        rows._last = extend(np.ones(3)), extend([1.0, 2.0, 3.0])
+        assert (rows @ extend(np.ones(3))).double().tolist() == [1.0, 2.0, 3.0]
+
+
 def test_a_matrix_without_columns_makes_nothing():
     none = extended.DenseRows(np.zeros((0, 3))) @ Extended(np.zeros(0))
     assert not none.hi.any()
