@@ -78,16 +78,14 @@ def of_absurd_part(problem: Named, name: str, values: Array, i: int) -> str:
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     unit = problem.units.length if name == "displacement" else problem.units.force
     worst = np.atleast_1d(values[i])
-    return (
-        f"{name}: {worst[np.argmax(abs(worst))]:.3g}{_with_unit(unit)} at {called(i)}: what made this answer diverged"
-    )
+    return f"{name}: {worst[np.argmax(abs(worst))]:.3g}{unit_of(unit)} at {called(i)}: what made this answer diverged"
 
 
 def of_hidden_strain(problem: Named, displacement: Vector) -> str:
     """Return the message that a displacement is so large that its rounding hides the strain."""
     i = int(np.argmax(abs(displacement)))
     return (
-        f"unproven: {displacement[i]:.3g}{_with_unit(problem.units.length)} at {problem.dof_name(i)} is so large a "
+        f"unproven: {displacement[i]:.3g}{unit_of(problem.units.length)} at {problem.dof_name(i)} is so large a "
         "motion that its rounding hides what loads and gaps strain"
     )
 
@@ -133,7 +131,7 @@ def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int,
     i : which unknown, contact or tie
     tolerance : the largest figure that passes
     """
-    force, length = _with_unit(problem.units.force), _with_unit(problem.units.length)
+    force, length = unit_of(problem.units.force), unit_of(problem.units.length)
     of = {"penetration": "lengths", "tie": "lengths", "complementarity": "sizes", "slip_direction": "sizes"}
     if name == "equilibrium":
         text = f"{problem.dof_name(i)} is out of balance by {found.residual[i]:.6g}{force}"
@@ -185,7 +183,7 @@ def of_force_bound(problem: Named, answer: Any, bounds: Bounds, i: int, toleranc
     """
     if bounds.force_bound is None or bounds.relative_force_bound is None:
         raise ValueError("there is no bound to speak of")
-    unit = _with_unit(problem.units.force)
+    unit = unit_of(problem.units.force)
     beside = "the largest contact force" if bounds.largest_force > 0 else "all contact forces"
     return (
         f"force_bound: the force of {problem.contact_name(i)}, {answer.normal_force[i]:.6g}"
@@ -194,7 +192,8 @@ def of_force_bound(problem: Named, answer: Any, bounds: Bounds, i: int, toleranc
     )
 
 
-def _with_unit(unit: str) -> str:
+def unit_of(unit: str) -> str:
+    """Return the unit, if there is one, after a blank."""
     return f" {unit}" if unit else ""
 
 

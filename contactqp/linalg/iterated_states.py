@@ -376,10 +376,10 @@ class CombinationSystem:
         balanced = EQUILIBRIUM * tolerance / left if left > 0 else np.inf
         return float(np.clip(AIM * min(allowed, balanced), TIGHTEST, LOOSEST))
 
-    def improved(self, x: Vector, reduction: float, most: int = STEPS) -> Vector:
+    def improved(self, x: Vector, reduction: float) -> Vector:
         """Return x after GMRES has reduced its unbalanced residual by `reduction`, or as far as possible."""
         unbalanced = self.unbalanced(x)
-        return x if self._small(x, unbalanced, BALANCED) else self._improved(x, unbalanced, None, reduction, most)
+        return x if self._small(x, unbalanced, BALANCED) else self._improved(x, unbalanced, None, reduction, STEPS)
 
     def _improved(self, x: Vector, unbalanced: Vector, along: Vector | None, reduction: float, most: int) -> Vector:
         scale, iteration, steps = self._scale, self._iteration, 0

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.messages import unit_of
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, NoEquilibrium
 from contactqp.linalg.dense import unknown_scale
@@ -24,7 +25,7 @@ from contactqp.linalg.iteration import grid_operations, iterated
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Certificate, Solution
-from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, Explanation, Finding, symptoms, unit_of
+from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Effort, Evidence, Explanation, Finding, symptoms
 from contactqp.oracle.diagnosis.explanations import duplicates, laws, one_value, shares, shifted
 from contactqp.oracle.diagnosis.orders import orders, two_mistakes
 from contactqp.oracle.diagnosis.scales import inexact, printed, scales

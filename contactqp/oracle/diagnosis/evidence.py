@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from contactqp.certificate.messages import unit_of
 from contactqp.certificate.uniqueness import POSSIBLE, SEVERAL
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.linalg.dense import unknown_scale
@@ -201,11 +202,6 @@ def _part(bound: float) -> str:
     if 1e-3 <= bound < 1:
         return f"{100 * bound:.2g} %"
     return f"{bound:.2g} {'of' if bound < 1 else 'times'} the right size"
-
-
-def unit_of(unit: str) -> str:
-    """Return the unit, if there is one, after a blank."""
-    return f" {unit}" if unit else ""
 
 
 # A hypothesis explains an answer if undoing it reduces the error by the first factor, and at most to the second.

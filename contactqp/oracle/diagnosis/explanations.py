@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.messages import unit_of
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.measures import directions, lengths
 from contactqp.model.arrays import TINY, Array, Mask, Vector
 from contactqp.model.coulomb import slips
 from contactqp.model.solution import Violations
-from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits, unit_of
+from contactqp.oracle.diagnosis.evidence import LEFT, NAMED, Evidence, Explanation, Finding, digits
 from contactqp.oracle.diagnosis.scales import CALLED, factors
 
 # Figures below this count as satisfied in a wrong answer of moderate accuracy.
