@@ -429,10 +429,11 @@ def unique_on(state: ClosedState) -> Unique:
 def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = None) -> Unique:
     """Return whether random forces and gaps respond less than free motions and dependent rows, or sweeps meet them.
 
-    Refinement takes away neither forces along free motions nor contradictions of dependent rows. A small response
-    that does not meet the forces tells nothing: factors with a small d round as much as free motions respond.
+    Refinement takes away neither forces along free motions nor contradictions of dependent rows. With the smaller d a
+    small response that does not meet them tells nothing: its factors round by as much as free motions respond.
     """
     random, most = np.random.default_rng(0), ALMOST_FREE / saddle.regularisation
+    rounds_less = saddle.regularisation > NEARER
     sizes = state.problem.dimension, int(np.sum(state.closed)), state.problem.ties
     force, gap, tie = (random.uniform(0.5, 1.0, size) for size in sizes)
     moved = ((u, left) for u, *_, left in saddle.refined(force, gap * 0.0, tie * 0.0))
@@ -440,6 +441,6 @@ def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = Non
 
     def met(responses: Iterator[tuple[Vector, float]]) -> bool:
         steps = pairwise(chain([(np.full(1, np.inf), np.inf)], islice(responses, sweeps)))
-        return any(left < ALMOST_FREE or np.all(abs(x) < most) for (x, _), (_, left) in steps)
+        return any(left < ALMOST_FREE or (rounds_less and np.all(abs(x) < most)) for (x, _), (_, left) in steps)
 
     return Unique(met(moved), met(pushed))

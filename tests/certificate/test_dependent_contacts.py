@@ -402,3 +402,28 @@ def test_ties_that_nearly_depend_on_each_other_are_named_where_nothing_is_certif
     problem = cq.ContactProblem(np.diag([2.0, 3.0, 1.0]), [3.0, 1.0, 0.0], np.zeros((0, 3)), [], **ties)
     with pytest.raises(cq.NotCertified, match=r"the rows of left, right depend on each other but for .* leave one of"):
         cq.solve(problem)
+
+
+@pytest.mark.parametrize("seed", [1, 10])
+def test_a_row_written_twice_in_other_units_is_redundant_beside_unknowns_without_stiffness(seed: int) -> None:
+    """Steps fitted to whole numbers by sums of sizes, min sum |x_i - y_i| + sum |x_{i+1} - x_i|, in units
+    of many sizes.
+
+    Factors with little on the diagonal round as much as a repeated row responds. Its forces had been called unique,
+    and the answer was refused as each copy may carry what the other does.
+    """
+    n, rng = 15, np.random.default_rng(seed)
+    y, one, none = rng.integers(-9, 10, n), np.eye(n), np.zeros((n, n - 1))
+    steps, zero, each = np.diff(one, axis=0), np.zeros((n - 1, n)), np.eye(n - 1)
+    rows = np.block([[one, -one, none], [-one, -one, none], [steps, zero, -each], [-steps, zero, -each]])
+    rows, limit = np.vstack([rows, rows[-1] / 2]), np.concatenate([y, -y, np.zeros(2 * n - 1)])
+    unit, weight = 10.0 ** rng.integers(-3, 4, 3 * n - 1), 10.0 ** rng.integers(-2, 3, len(rows))
+    cost = unit * np.concatenate([np.zeros(n), np.ones(2 * n - 1)])
+    rows = rows * unit * weight[:, None]
+    solution = cq.solve(cq.ContactProblem.from_qp(np.zeros((len(cost),) * 2), cost, rows, limit * weight))
+    levels = np.arange(-9, 10)  # the least sums are reached at levels of the data
+    least = abs(levels - y[0])
+    for value in y[1:]:
+        least = np.min(least + abs(levels[:, None] - levels), axis=1) + abs(levels - value)
+    assert solution.certificate.proven
+    assert solution.energy == pytest.approx(min(least), rel=1e-12)
