@@ -37,8 +37,9 @@ def test_the_least_thickness_of_a_semicircular_arch_is_milankovitchs(radius: flo
     """0.1075 of the radius (M. Milankovitch 1907; J. Ochsendorf 2006); with ten voussoirs 0.10746."""
     thick = cq.solve(arch(0.1076, radius=radius, weight=weight))
     assert thick.certificate.passed
-    springing = thick.normal_force[:2].sum()
-    assert springing == pytest.approx(weight / 2, rel=1e-9)
+    springings = thick.normal_force[:2].sum(), thick.normal_force[-2:].sum()
+    assert sum(springings) == pytest.approx(weight, rel=1e-9)
+    assert springings[0] == pytest.approx(weight / 2, rel=1e-4)  # lines of thrust that are not symmetric fit in, too
     with pytest.raises(cq.NoEquilibrium):
         cq.solve(arch(0.1073, radius=radius, weight=weight))
 
