@@ -37,10 +37,10 @@ from contactqp.analysis.rate_data import (
     named,
 )
 from contactqp.analysis.rates import Linearised
+from contactqp.analysis.shared_forces import moved_by, unheld, unique_beside
 from contactqp.analysis.slip_law import falls
 from contactqp.certificate.idle_rows import ActingRows, acting_once
 from contactqp.certificate.number_range import OF_SQUARES, refuse_far_from_one
-from contactqp.certificate.uniqueness import moved_by, unheld, unique_beside
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import EPS, Array, Indices, Vector, own_floating_point

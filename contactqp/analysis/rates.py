@@ -57,10 +57,9 @@ from contactqp.analysis.rate_data import (
     with_reaction,
 )  # fmt: skip
 from contactqp.analysis.rate_systems import LARGE, RateSystem
-from contactqp.analysis.shared_forces import Sharing
+from contactqp.analysis.shared_forces import Sharing, unheld
 from contactqp.analysis.slip_law import StateMargins, falls, steps_to_events
 from contactqp.certificate import bounds
-from contactqp.certificate.uniqueness import unheld
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
 from contactqp.linalg.condensation import condense
 from contactqp.linalg.dense import saddle_point

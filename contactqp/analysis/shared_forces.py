@@ -2,11 +2,12 @@
 
 With friction the forces are in cones, and linear programs determine the combinations of open, stick and slip that can
 exert the resultant, or continue to do so along a direction, and how far (`Cones`, `Group`). `Sharing` treats groups
-without friction.
+without friction; `unheld` are motions that no closed contact resists, whatever the forces.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from copy import copy
 from itertools import pairwise, product
 from typing import Any, TypeAlias
@@ -16,6 +17,9 @@ import scipy.sparse as sp
 
 from contactqp.analysis.border_states import MOST_COMBINATIONS
 from contactqp.analysis.rate_data import Direction, Parts, Rates, Scales
+from contactqp.linalg.dense import unknown_scale
+from contactqp.linalg.factorization import right_singular
+from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.nonnegative import (
     CARRIES,
     DEPENDENT_ROWS,
@@ -24,9 +28,10 @@ from contactqp.linalg.nonnegative import (
     highs,
     longest_step,
 )
-from contactqp.model.arrays import Array, Indices, Mask, Vector
+from contactqp.model.arrays import Array, Indices, Mask, Vector, zero_beneath
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, number_of_combinations
 from contactqp.model.problem import ContactProblem
+from contactqp.model.solution import Solution
 
 # The tolerances below which unit rows and changes of forces are zero.
 NO_CHANGE = 1e-9
@@ -458,3 +463,31 @@ class Sharing:
 def _rank(rows: Array) -> int:
     sizes = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
     return int(np.sum(sizes > DEPENDENT_ROWS * np.max(sizes, initial=0.0)))
+
+
+def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
+    """Return the free motions of an answer that no closed contact resists, also with other redundant forces.
+
+    Entries of rounding size are set to zero.
+    """
+    found = [motion.direction for motion in solution.free_motions]
+    unit = unknown_scale(solution.problem) if found else np.ones(0)
+    if found and closed is not None and len(closed):
+        basis = np.column_stack([z / np.max(abs(z) / unit) for z in found])
+        rows = sp.csr_array(solution.problem.normal[closed])
+        lengths = np.sqrt(rows.power(2) @ unit**2)[:, None]
+        values, rotation = right_singular((rows @ basis) / np.where(lengths > 0, lengths, 1.0))
+        found = list((basis @ rotation[int(np.sum(values > UNRESISTED)) :].T).T)
+    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
+
+
+def moved_by(motions: Iterable[Vector], rows: Any) -> bool:
+    """Return whether the product of rows (p, n) with a motion exceeds its rounding."""
+    return any(bool(np.any(abs(rows @ z) > UNRESISTED * (abs(rows) @ abs(z)))) for z in motions)
+
+
+def unique_beside(motions: Sequence[Vector], problem: ContactProblem, of: str) -> bool:
+    """Return whether a quantity, by its name in `Solution.derivative`, does not change by adding motions."""
+    if of == "gap":
+        return not moved_by(motions, problem.normal[np.isfinite(problem.gap)])
+    return not motions or of not in ("displacement", "slip")

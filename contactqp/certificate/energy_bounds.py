@@ -16,30 +16,38 @@ U|^2. So, of all solutions within a distance R of U, unknown by unknown, J* and 
 The upper bound takes N for the multipliers nu* of u* where ties are missed by t, |t|'|N - nu*| less than proven. R is
 REACH times the size of the answer, or the room that contacts and ties of unknown j leave it along r_j; the residuals of
 extended precision are so small that w is still far below any tolerance. An answer u is at most |u - U|_K + sqrt(8 w)
-away from u* in the energy norm, and by what it takes to meet the rows (`_force_errors`); and
+away from u* in the energy norm, and by what it takes to meet the rows (`_force_errors`), or less (`_apart`); and
 
     J(u) - J* <= 1/2 |u - U|^2 + L'(g - E u)+ + w
 
 up to penetration and residuals of ties, by which an answer is judged if K does not determine the displacement, as in a
-linear program. Forces are compared with L, by |l - L|_W over |L|_W, W = E K^-1 E', where K is regular; elsewhere with L
-and N, all in equilibrated units. With dependent rows, these are the nearest of many.
+linear program. Forces are compared with L, by |l - L|_W over |L|_W, W that of the tied bodies and, where K is regular,
+of the untied ones, and with L and N in equilibrated units. With dependent rows, these are the nearest of many.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.balance import imposed_work, work_that_meets
-from contactqp.certificate.bounds import LEAST_PART, REDUNDANT, Bounds, no_bounds
+from contactqp.certificate.bounds import LEAST_PART, REDUNDANT, Bounds, no_bounds, relative_error
 from contactqp.certificate.figures import energy_norm
-from contactqp.certificate.uniqueness import unique_on
+from contactqp.certificate.uniqueness import MOST_BY_MOTIONS, taken_by, unique_on
 from contactqp.errors import NotConverged
-from contactqp.linalg import convexity
-from contactqp.linalg.convexity import DECIDED, DEFINITE, REGULAR, diagonal_dominance, stiffness_factor
+from contactqp.linalg.convexity import (
+    DECIDED,
+    DEFINITE,
+    REGULAR,
+    StiffnessFactor,
+    diagonal_dominance,
+    stiffness_factor,
+)
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import (
     REACH,
@@ -52,15 +60,14 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
-from contactqp.linalg.factorization import with_added_diagonal
-from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, by_last_closings, without_needless_forces
-from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, row_sizes
+from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import given_rows, highs
 from contactqp.linalg.pardiso import Pardiso
-from contactqp.linalg.sparse_saddle import MET_TOGETHER, SOLVED, WORTH_ANOTHER, ClosedState, Effort
-from contactqp.model.arrays import EPS, TINY, Array, Vector, seconds_of_unfinished, within_time
+from contactqp.linalg.sparse_saddle import BALANCED, MET_TOGETHER, SIGNED, SOLVED, WORTH_ANOTHER, ClosedState, Effort
+from contactqp.linalg.sparse_states import TiedBodies
+from contactqp.model.arrays import EPS, TINY, Mask, Vector, seconds_of_unfinished, within_time
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
@@ -70,9 +77,7 @@ NOTABLE = 1e-11
 DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
 NO_LENGTH = 1e-26
-MOVES_OTHERS = 1e-3  # a row that its own motion moves by one less this part depends on others, which move with it
-# The most rows whose residual dense systems distribute over forces, and a safety factor; random forces for more rows.
-MOST_DENSE, CAUTION, PROBES = 500, 4.0, 24
+CAUTION = 4.0  # a safety factor on what balances a residual, and on what is found by random forces
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
 AWAY = 1e6
 CLOSE_BY = 1e-6  # an answer is accepted if it is this close to a solution up to such a conflict
@@ -83,6 +88,7 @@ NOT_APART = "the closed contacts and ties are too near to redundant for a bound 
 NEGATIVE = 1e-9
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
 MOTIONS_OF_A_BODY = 6  # rigid ones, in space
+Response = Callable[[Vector], tuple[float, float] | None]  # the energy norm of that to forces (n,), and its error
 
 
 def energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
@@ -114,41 +120,59 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))
-    found, untold, solution = _from_solution(twin, start, state, scaling, definite=factor is not None)
-    if found.force_error is None or (factor is not None and found.by_energy):
+    soft = mostly_bare(twin) or (factor is not None and factor.smallest_pivot < REGULAR)
+    bodies = None if soft or not (twin.ties or factor is None) else TiedBodies(twin, scaling.unknowns)
+    pressing = sp.vstack([twin.normal[np.flatnonzero(state.answer.normal_force.double() > 0)], twin.tie])
+    response: Response | None = None if bodies is None else partial(bodies.response, balancing=pressing)
+    response = response if soft or factor is None else partial(_untied_norm, factor, scaling)
+    found, untold, solution = _from_solution(twin, start, state, scaling, factor is not None, response)
+    if soft or found.force_error is None or (factor is not None and found.by_energy):
         return found
     change = extend(start.normal_force) - solution.normal_force, extend(start.tie_force) - solution.tie_force
-    pushed, tied = [], []
-    for push, held in ((solution.normal_force, solution.tie_force), change):
-        pushed.append(problem.normal.T @ (push.double() * scaling.force / scaling.contacts))
-        tied.append(problem.tie.T @ (held.double() * scaling.force / scaling.ties))
-    if factor is None:
-        return _compared_where_strained(problem, found, pushed, untold)
-    if factor.smallest_pivot < REGULAR:
-        return found
-    # If K is regular, forces are compared by the response of the untied bodies to them, with and without ties.
-    size, missed = (factor.response_norm(force) for force in pushed)
-    error = _relative(missed + untold, size)
-    if problem.ties:
-        whole, missed = (factor.response_norm(force + held) for force, held in zip(pushed, tied, strict=True))
-        error = max(error, _relative(missed + untold, whole if size > 0 else 0.0))
-    alone = found.force_error if problem.ties else 0.0  # what nearly parallel ties share otherwise strains nothing
+    forces = (solution.normal_force, solution.tie_force), change
+    if factor is not None:
+        found = _compared_without_ties(twin, scaling, found, forces, factor, untold)
+    return found if bodies is None else _compared_with_ties(twin, found, forces, bodies, untold)
+
+
+def _untied_norm(factor: StiffnessFactor, scaling: Scaling, force: Vector) -> tuple[float, float]:
+    """Return |K^-1 f|_K of forces f (n,) in equilibrated units, and its error, as a `Response`."""
+    norm, error = factor.response_norm(scaling.force / scaling.unknowns * force)
+    unit = float(np.sqrt(scaling.length * scaling.force))
+    return norm / unit, error / unit
+
+
+def _compared_without_ties(
+    twin: ContactProblem, scaling: Scaling, found: Bounds, forces: Any, factor: StiffnessFactor, untold: float
+) -> Bounds:
+    """Return bounds with forces compared by the response of the untied bodies to all, and to those of contacts alone.
+
+    A nearly parallel tie may carry what a contact does, with the bounds of single forces.
+    """
+    rows, none, root = extended_rows(twin), extend(np.zeros(twin.ties)), float(np.sqrt(scaling.length * scaling.force))
+    untied, carried = partial(_untied_norm, factor, scaling), untold
+    if twin.ties and found.force_bound is not None:
+        bound, own = np.nan_to_num(found.force_bound), np.sqrt(own_compliance(twin, twin.normal))
+        bound = np.maximum(bound * scaling.contacts / scaling.force - abs(forces[1][0].double()), 0.0)  # of L
+        carried = max(untold, float(own @ bound), sum(untied(twin.normal.T @ bound)))
+    pushed, change = (untied(rows.contact_force(push, none).double()) for push, _ in forces)
+    error, size = relative_error(sum(change) + carried, *pushed), pushed[0]
+    if twin.ties:
+        whole, change = (untied(rows.contact_force(*both).double()) for both in forces)
+        error = max(error, relative_error(sum(change) + untold, *(whole if size > 0 else pushed)))
+    alone = found.force_error or 0.0 if twin.ties else 0.0  # what nearly parallel ties share otherwise strains nothing
     ties = alone * (found.force_scale or 1.0), found.force_scale
-    return replace(found, force_error=max(error, alone if size > 0 else 0.0), force_scale=size, ties=ties)
+    error = max(error, alone) if size > 0 else error * root
+    return replace(found, force_error=error, force_scale=size * root, ties=ties)
 
 
-def _compared_where_strained(problem: ContactProblem, found: Bounds, pushed: list[Vector], untold: float) -> Bounds:
-    """Return bounds with forces E'l (n,) compared also by what they strain, if few unknowns have no stiffness."""
-    bare = problem.diagonal == 0
-    if problem.ties or mostly_bare(problem) or not bare.any() or bare.all():
-        return found
-    stiffened = problem.replace(stiffness=with_added_diagonal(problem.stiffness_rows, np.where(bare, 1.0, 0.0)))
-    if (factor := stiffness_factor(stiffened)) is None:
-        return found
-    size, missed = (factor.response_norm(np.where(bare, 0.0, force)) for force in pushed)
-    untold = min(untold, missed)  # by the width of the energy's bounds, whose root is no measure of small differences
-    error = _relative(missed + untold, size) if size > found.rounding else 0.0
-    return replace(found, force_error=max(found.force_error or 0.0, error))
+def _compared_with_ties(twin: ContactProblem, found: Bounds, forces: Any, bodies: TiedBodies, untold: float) -> Bounds:
+    """Return bounds with contact forces compared by the response of the tied bodies, too."""
+    rows, none = extended_rows(twin), extend(np.zeros(twin.ties))
+    pushed, change = (bodies.response(rows.contact_force(push, none).double()) for push, _ in forces)
+    if pushed is None or change is None or pushed[0] <= 2 * pushed[1]:
+        return found  # ties balance these forces but for rounding, or bodies are too soft
+    return replace(found, force_error=max(found.force_error or 0.0, relative_error(sum(change) + untold, *pushed)))
 
 
 def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
@@ -157,17 +181,21 @@ def _factors_of_saddle(problem: ContactProblem) -> Pardiso | None:
 
 
 def _from_solution(
-    problem: ContactProblem, answer: Answer, held: ClosedState, scaling: Scaling, definite: bool
+    problem: ContactProblem,
+    answer: Answer,
+    held: ClosedState,
+    scaling: Scaling,
+    definite: bool,
+    response: Response | None,
 ) -> tuple[Bounds, float, ExtendedAnswer]:
-    """Return bounds in the units of the problem from an answer and a solution of its equilibrated twin, |U - u*|_K, and
-    the solution with which forces were compared.
+    """Return bounds in the problem's units from an answer and a solution of its twin, |U - u*|_K in those of the twin,
+    and the solution with which forces were compared.
 
     If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
     contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ.
     """
     state = without_conflict(held, Effort())
-    solution, unit = state.answer.double(), scaling.length * scaling.force
-    root = float(np.sqrt(unit))
+    solution, root = state.answer.double(), float(np.sqrt(unit := scaling.length * scaling.force))
     wide, least = _width(state), NO_LENGTH * state.length
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
     strain, uncertain = energy_norm(problem, state.answer.displacement)
@@ -191,7 +219,8 @@ def _from_solution(
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
     rounded = max(EPS * min(works), REACH * least * least)
-    by_strain, untold = by_strain * max(by_energy := float(np.sqrt(8 * wide)), TINY), by_energy + back
+    apart = _apart(state, wide, back if state is held and unique.forces else None, response)
+    by_strain, untold = by_strain * max(apart, TINY) + _on_open_contacts(held, apart + back), apart + back
     bounded = unique.forces and bool(np.all(np.isfinite(by_residual)) and np.all(np.isfinite(by_strain)))
     missed, error = missed + (float(np.linalg.norm(by_residual)) if bounded else 0.0), distance + untold
     if not sees:
@@ -222,9 +251,9 @@ def _from_solution(
     passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
     meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
     if meets and not np.any(passed > SOLVED):
-        return found, untold * root, held.answer
+        return found, untold, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
-    return _of_conflict(found, np.max(passed, initial=state.length_residual), near), untold * root, held.answer
+    return _of_conflict(found, np.max(passed, initial=state.length_residual), near), untold, held.answer
 
 
 def _missed_forces(
@@ -266,8 +295,7 @@ def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> t
     """
     (left, gap, tie), m = held.left.double(np.arange(problem.contacts)), problem.contacts
     found = np.zeros((m + problem.ties, 2))
-    length = row_sizes(problem, problem.normal).lengths(abs(held.answer.displacement.double())) + abs(problem.gap)
-    closed = np.flatnonzero(held.closed | (gap <= WITHIN_ROUNDING * length))
+    closed = np.flatnonzero(_touching(held))
     if not len(closed) + problem.ties:
         return found[:, 0], found[:m, 1], 0.0
     place = np.append(closed, np.arange(m, len(found)))
@@ -276,7 +304,7 @@ def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> t
     residual, taken, moved = abs(left), np.zeros((rows.shape[0], 2)), np.zeros(problem.dimension)
     if not unique:
         found[place] = np.inf
-        if len(place) > MOST_DENSE:
+        if len(place) > MOST_BY_MOTIONS:
             return found[:, 0], found[:m, 1], 0.0
     # Rows of one unknown balance the residual there, other rows that on the other unknowns.
     alone, unknown = rows_alone(rows) if unique else (place[:0], place[:0])
@@ -285,7 +313,7 @@ def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> t
     moved[unknown] = missed[alone] / entries
     stiffness = sp.csr_array(problem.stiffness_rows)[free][:, free]
     together = rows[others][:, free], residual[free], stiffness, missed[others] - beside @ moved[unknown]
-    taken[others], moved[free] = _taken_by(*together, unique)
+    taken[others], moved[free] = taken_by(*together, unique)
     here = np.column_stack([residual[unknown], np.sqrt(problem.diagonal[unknown])])
     taken[alone] = (here + abs(beside).T @ taken[others]) / abs(entries)[:, None]
     found[place] = CAUTION * taken
@@ -293,62 +321,17 @@ def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> t
     return found[:, 0] + (back * found[:, 1] if back > 0 else 0.0), found[:m, 1], back
 
 
-def _taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector, unique: bool) -> tuple[Array, Vector]:
-    """Return |r|'|v| and |v|_K for a motion v of each row (a, 2), with residuals r, and the motion c_j v_j of all (n,).
-
-    Rows that share no unknown have separate motions. All are infinite if rows overflow or are dependent, if forces are
-    not `unique` those of rows that depend on others or are many.
-
-    Parameters
-    ----------
-    rows, stiffness : (a, n), (n, n) sparse arrays, E and K
-    residual, missed : (n,) array [force], the sizes of r, and (a,) array [length], c
-    """
-    rows = sp.csr_array(rows)
-    size = np.asarray(rows.multiply(rows).sum(axis=1))
-    if not (np.all(np.isfinite(size)) and np.all(size > 0) and np.all(np.isfinite(residual))):
-        return np.full((rows.shape[0], 2), np.inf), np.zeros(rows.shape[1])
-    energy, moved = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1)), rows.T @ (missed / size)
-    taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0))]) / size[:, None]
-    of_row = sp.csgraph.connected_components(sp.bmat([[None, rows], [rows.T, None]]), directed=False)[1][: len(size)]
-    for group in np.flatnonzero(np.bincount(of_row) > 1):
-        together = np.flatnonzero(of_row == group)
-        few = rows[together]
-        touched = np.unique(few.indices) if few.nnz < few.shape[1] else np.flatnonzero(np.bincount(few.indices))
-        few, own, left = few[:, touched], residual[touched], missed[together]
-        if len(together) > MOST_DENSE or len(together) * len(touched) > MOST_DENSE**2:
-            if unique:
-                taken[together], moved[touched] = _taken_at_random(few, own, stiffness[touched], left)
-            else:
-                taken[together] = np.inf
-            continue
-        dense = few.toarray()
-        motions = np.linalg.pinv(dense) if unique else np.linalg.pinv(dense, DEPENDENT_IN_ENERGY)
-        energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
-        taken[together, 0], moved[touched] = abs(motions).T @ own, motions @ left
-        taken[together, 1] = np.sqrt(np.maximum(energy, 0.0))
-        if not unique:
-            taken[together[abs(np.sum(dense * motions.T, axis=1) - 1) > MOVES_OTHERS]] = np.inf
-    return taken, moved
+def _touching(held: ClosedState) -> Mask:
+    """Return the contacts (m,) that are closed or touch by rounding."""
+    problem, moved = held.problem, abs(held.answer.displacement.double())
+    length = row_sizes(problem, problem.normal).lengths(moved) + abs(problem.gap)
+    return np.asarray(held.closed | (held.left.gap.double() <= WITHIN_ROUNDING * length))
 
 
-def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:
-    """Return `_taken_by` with probabilistic bounds for the shortest motions v = E'(E E')^-1 e_i of connected rows.
-
-    For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z gives v'D z
-    for all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2,
-    with s_j the sum of |K_ji| over i. The root mean of `PROBES` is too small by the factor `CAUTION` with a probability
-    below 1e-10. `stiffness` (n, ...) are rows of K.
-    """
-    count, n = rows.shape
-    weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1)))])
-    forces = np.random.default_rng(0).standard_normal((n, PROBES))
-    solve = convexity.inverse_of_gram(rows)
-    if solve is None:
-        return np.full((count, 2), np.inf), np.zeros(n)
-    answered = [solve(rows @ (weight[:, None] * forces)) for weight in weights.T]
-    taken = np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
-    return taken, rows.T @ solve(missed[:, None])[:, 0]
+def _on_open_contacts(held: ClosedState, apart: float) -> Vector:
+    """Bound true forces (m,) of open contacts: l*'(g - E U) <= J(U) - J* <= |U - u*|^2 / 2; 0 for gaps by rounding."""
+    opens = ~_touching(held) & ((gap := held.left.gap.double()) > SIGNED * held.length)
+    return np.asarray(np.where(opens, apart * apart / np.where(opens, 2 * gap, 1.0), 0.0))
 
 
 def _of_conflict(found: Bounds, conflict: float, near: bool) -> Bounds:
@@ -405,16 +388,33 @@ def narrowed(state: ClosedState, effort: Effort) -> ClosedState:
     return after if after.holds and nearer(after, state) else state
 
 
+def _of_lengths(state: ClosedState) -> float:
+    """Return |L|'|c| + |N|'|t|, the part of w by gaps and ties."""
+    answer, left = state.answer.double(), state.left
+    return float(abs(answer.normal_force) @ abs(left.gap.double()) + abs(answer.tie_force) @ abs(left.tie.double()))
+
+
+def _apart(state: ClosedState, width: float, back: float | None, response: Response | None) -> float:
+    """Bound |U - u*|_K less 2 |s|_K by w, or by the response y to the residual r if this balances on free motions.
+
+    r'(v - U) <= |y|_K |v - U|_K and J* <= J(U) + w give 2 |y|_K + sqrt(8 w) with w without r, or, as U + s meets all
+    rows, 2 |y|_K + |s|_K, where 2 |s|_K = `back` is known.
+    """
+    by_energy = float(np.sqrt(8 * width))
+    if response is None or width == 0 or state.force_residual > BALANCED:
+        return by_energy
+    strained = response(state.left.force.double())
+    unmet = float(np.sqrt(8 * _of_lengths(state))) if back is None else back / 2
+    return by_energy if strained is None else min(by_energy, 2 * sum(strained) + unmet)
+
+
 def _width(state: ClosedState) -> float:
     """Return w, the width of the bounds of the solution's energy by rounding."""
-    answer = state.answer.double()
-    contacts = abs(answer.normal_force) @ abs(state.left.gap.double())
-    ties = abs(answer.tie_force) @ abs(state.left.tie.double())
     left, dominance = state.left.force, diagonal_dominance(state.problem)
     unbalanced = _cost(state, left.double(), dominance)
     if unbalanced > NOTABLE * _energy(state)[1]:
         unbalanced = min(unbalanced, _taken_by_constraints(state, dominance))
-    return float(contacts + ties + unbalanced)
+    return _of_lengths(state) + float(unbalanced)
 
 
 def _cost(state: ClosedState, residual: Vector, dominance: Vector) -> float:

@@ -123,7 +123,7 @@ class SparseBodies:
         if (factor := self._untied) is None:
             return None
         load = problem.normal.T @ normal + problem.tangent.T @ friction.ravel() + problem.tie.T @ tie
-        return factor.response_norm(load), 0.0
+        return factor.response_norm(load)
 
     @cached_property
     def _untied(self) -> StiffnessFactor | None:

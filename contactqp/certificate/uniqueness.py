@@ -10,7 +10,7 @@ displacements, and only quantities that these motions do not change are unique.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice, pairwise
 from typing import Any
@@ -22,19 +22,17 @@ from contactqp.certificate.critical_friction import LARGEST_RATIO, CriticalFrict
 from contactqp.certificate.other_answers import MOST_COUNTED, several_answers
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import are_independent
+from contactqp.linalg.convexity import are_independent, inverse_of_gram
 from contactqp.linalg.delassus import contact_compliance
-from contactqp.linalg.dense import unknown_scale
-from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS, given_rows, highs, width_of
 from contactqp.linalg.runtime import lapack
 from contactqp.linalg.sparse_saddle import REGULARISATIONS, ClosedState, Effort, SparseSaddle, kept_saddle
-from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector, zero_beneath
+from contactqp.model.arrays import EPS, TINY, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem
-from contactqp.model.solution import Answer, Solution, Violations
+from contactqp.model.solution import Answer, Violations
 
 # The number of contacts with friction up to which bounds cost less than half of a solution and are always computed.
 MOST_PROVEN = 200
@@ -345,34 +343,6 @@ def _unit(rows: Array) -> Array:
     return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
 
 
-def unheld(solution: Solution, closed: Indices | None) -> list[Vector]:
-    """Return the free motions of an answer that no closed contact resists, also with other redundant forces.
-
-    Entries of rounding size are set to zero.
-    """
-    found = [motion.direction for motion in solution.free_motions]
-    unit = unknown_scale(solution.problem) if found else np.ones(0)
-    if found and closed is not None and len(closed):
-        basis = np.column_stack([z / np.max(abs(z) / unit) for z in found])
-        rows = sp.csr_array(solution.problem.normal[closed])
-        lengths = np.sqrt(rows.power(2) @ unit**2)[:, None]
-        values, rotation = right_singular((rows @ basis) / np.where(lengths > 0, lengths, 1.0))
-        found = list((basis @ rotation[int(np.sum(values > UNRESISTED)) :].T).T)
-    return [zero_beneath([z], [1 / unit], UNRESISTED * float(np.max(abs(z) / unit)))[0] for z in found]
-
-
-def moved_by(motions: Iterable[Vector], rows: Any) -> bool:
-    """Return whether the product of rows (p, n) with a motion exceeds its rounding."""
-    return any(bool(np.any(abs(rows @ z) > UNRESISTED * (abs(rows) @ abs(z)))) for z in motions)
-
-
-def unique_beside(motions: Sequence[Vector], problem: ContactProblem, of: str) -> bool:
-    """Return whether a quantity, by its name in `Solution.derivative`, does not change by adding motions."""
-    if of == "gap":
-        return not moved_by(motions, problem.normal[np.isfinite(problem.gap)])
-    return not motions or of not in ("displacement", "slip")
-
-
 # Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.
 SURELY_INDEPENDENT = 1e-6
 
@@ -444,3 +414,67 @@ def _answered(saddle: SparseSaddle, state: ClosedState, sweeps: int | None = Non
         return any(left < ALMOST_FREE or (rounds_less and np.all(abs(x) < most)) for (x, _), (_, left) in steps)
 
     return Unique(met(moved), met(pushed))
+
+
+# A row that its own motion moves by one less this part depends on others, which move with it.
+MOVES_OTHERS = 1e-3
+# The most rows whose motions are found by dense systems, and random forces for more rows.
+MOST_BY_MOTIONS, PROBES = 500, 24
+
+
+def taken_by(rows: Any, residual: Vector, stiffness: Any, missed: Vector, unique: bool) -> tuple[Array, Vector]:
+    """Return |r|'|v| and |v|_K for a motion v of each row (a, 2), with residuals r, and the motion c_j v_j of all (n,).
+
+    Rows that share no unknown have separate motions. All are infinite if rows overflow or are dependent.
+
+    Parameters
+    ----------
+    rows, stiffness : (a, n), (n, n) sparse arrays, E and K
+    residual, missed : (n,) array [force], the sizes of r, and (a,) array [length], c
+    unique : whether forces are unique; if not, the motions of rows that depend on others or are many are infinite
+    """
+    rows = sp.csr_array(rows)
+    size = np.asarray(rows.multiply(rows).sum(axis=1))
+    if not (np.all(np.isfinite(size)) and np.all(size > 0) and np.all(np.isfinite(residual))):
+        return np.full((rows.shape[0], 2), np.inf), np.zeros(rows.shape[1])
+    energy, moved = np.asarray((rows @ stiffness).multiply(rows).sum(axis=1)), rows.T @ (missed / size)
+    taken: Array = np.column_stack([abs(rows) @ residual, np.sqrt(np.maximum(energy, 0.0))]) / size[:, None]
+    of_row = sp.csgraph.connected_components(sp.bmat([[None, rows], [rows.T, None]]), directed=False)[1][: len(size)]
+    for group in np.flatnonzero(np.bincount(of_row) > 1):
+        together = np.flatnonzero(of_row == group)
+        few = rows[together]
+        touched = np.unique(few.indices) if few.nnz < few.shape[1] else np.flatnonzero(np.bincount(few.indices))
+        few, own, left = few[:, touched], residual[touched], missed[together]
+        if len(together) > MOST_BY_MOTIONS or len(together) * len(touched) > MOST_BY_MOTIONS**2:
+            if unique:
+                taken[together], moved[touched] = _taken_at_random(few, own, stiffness[touched], left)
+            else:
+                taken[together] = np.inf
+            continue
+        dense = few.toarray()
+        motions = np.linalg.pinv(dense) if unique else np.linalg.pinv(dense, DEPENDENT_IN_ENERGY)
+        energy = np.sum(motions * (stiffness[touched][:, touched] @ motions), axis=0)
+        taken[together, 0], moved[touched] = abs(motions).T @ own, motions @ left
+        taken[together, 1] = np.sqrt(np.maximum(energy, 0.0))
+        if not unique:
+            taken[together[abs(np.sum(dense * motions.T, axis=1) - 1) > MOVES_OTHERS]] = np.inf
+    return taken, moved
+
+
+def _taken_at_random(rows: Any, residual: Vector, stiffness: Any, missed: Vector) -> tuple[Array, Vector]:
+    """Return `taken_by` with probabilistic bounds for the shortest motions v = E'(E E')^-1 e_i of connected rows.
+
+    For D = diag(d) and z of standard normal entries the mean of (v'D z)^2 is |D v|^2, and (E E')^-1 E D z gives v'D z
+    for all motions by one solution. |r|'|v| is at most sqrt(n) |diag(r) v|, and v'K v at most the sum of s_j v_j^2,
+    with s_j the sum of |K_ji| over i. The root mean of `PROBES` is too small by a factor of four with a probability
+    below 1e-10. `stiffness` (n, ...) are rows of K.
+    """
+    count, n = rows.shape
+    weights = np.column_stack([np.sqrt(n) * residual, np.sqrt(np.asarray(abs(stiffness).sum(axis=1)))])
+    forces = np.random.default_rng(0).standard_normal((n, PROBES))
+    solve = inverse_of_gram(rows)
+    if solve is None:
+        return np.full((count, 2), np.inf), np.zeros(n)
+    answered = [solve(rows @ (weight[:, None] * forces)) for weight in weights.T]
+    taken = np.column_stack([np.sqrt(np.mean(sizes**2, axis=1)) for sizes in answered])
+    return taken, rows.T @ solve(missed[:, None])[:, 0]

@@ -39,8 +39,8 @@ DOMINANT = 1e-12
 REGULAR = 1e-8
 # Pivots above this part exceed those that the raised diagonal gives for a motion without energy.
 DEFINITE = 1e-10
-# The most unknowns of a direction named in a message.
-NAMED = 6
+# The most unknowns of a direction named in a message, and roundings of a sum that sets off others.
+NAMED, SUMMED = 6, 8
 # The part of random gaps up to which a motion of independent rows meets them.
 MET = 1e-3
 # Steps of conjugate gradients that show a negative eigenvalue.
@@ -120,7 +120,7 @@ class StiffnessFactor:
     """The factors of K with its diagonal raised by the factor 1 + CURVED, which a step of refinement corrects."""
 
     def __init__(self, problem: ContactProblem, factors: pardiso.Pardiso | None = None) -> None:
-        self._K = problem.stiffness_rows
+        self._K, self._sizes = problem.stiffness_rows, problem.stiffness_sizes
         lifted = with_added_diagonal(self._K, CURVED * problem.diagonal)
         if problem.dimension > LARGE and pardiso.available():
             by_pardiso = None if factors is None else factors.beside(lifted)
@@ -131,11 +131,17 @@ class StiffnessFactor:
             by_superlu = SuperLU(sp.csc_matrix(lifted))
             self._solve, self.smallest_pivot = by_superlu.solve, by_superlu.smallest_pivot
 
-    def response_norm(self, force: Vector) -> float:
-        """Return |K^-1 f|_K = sqrt(f'K^-1 f) of forces f (n,) [square root of energy]."""
+    def response_norm(self, force: Vector) -> tuple[float, float]:
+        """Return |K^-1 f|_K = sqrt(f'K^-1 f) of forces f (n,) [square root of energy], and a bound on its rounding.
+
+        2 f'y - y'K y errs by the square of what y lacks.
+        """
         moved = self._solve(force)
         moved = moved + self._solve(force - self._K @ moved)
-        return float(np.sqrt(max(float(force @ moved), 0.0)))
+        square = max(float(force @ moved + moved @ (force - self._K @ moved)), 0.0)
+        size = abs(moved) @ (2 * abs(force) + self._sizes @ abs(moved))
+        rounding, norm = SUMMED * EPS * float(size), float(np.sqrt(square))
+        return norm, min(float(np.sqrt(rounding)), rounding / norm) if norm > 0 else float(np.sqrt(rounding))
 
 
 def _factorised(problem: ContactProblem, factors: pardiso.Pardiso | None) -> StiffnessFactor | None:

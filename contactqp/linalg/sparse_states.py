@@ -11,6 +11,8 @@ rows of unit length in the energy. The d on the diagonal, as in `contactqp.linal
 elimination in any order; residuals in extended precision remove its effect. Where bodies float,
 H' (H u - h) is added in place of d u, with H u = h the equations of lengths: this changes no answer.
 Successive combinations differ in few contacts, and the factors of one are reused for the next.
+
+Without friction the system without contacts gives the response of tied bodies to contact forces (`TiedBodies`).
 """
 
 from __future__ import annotations
@@ -25,13 +27,14 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed
 from contactqp.linalg import pardiso
 from contactqp.linalg.convexity import moves_beyond_bodies
+from contactqp.linalg.dense import orthonormal
 from contactqp.linalg.equilibration import scaled_by
-from contactqp.linalg.factorization import null_space_by_part
+from contactqp.linalg.factorization import null_space_by_part, right_singular
 from contactqp.linalg.friction_states import MAX_SWEEPS, Correction, RefinedState, refined_by
 from contactqp.linalg.iteration import held_by_hierarchy
 from contactqp.linalg.schur import factorised, with_pivots
-from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS
-from contactqp.model.arrays import Array, Indices, Vector
+from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS, REGULARISATIONS, SWEEPS, SparseSaddle
+from contactqp.model.arrays import EPS, Array, Indices, Vector
 from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
@@ -45,6 +48,16 @@ KEPT = 2
 MOST_CHANGES = 32
 # A system is singular if its factors return a known solution with a relative error above this.
 SINGULAR = 1e-3
+
+# A response is settled once a sweep of refinement changes it by less than this part in the energy norm.
+SETTLED = 1e-6
+# The values of d for responses of tied bodies, tried in turn: soft bodies and nearly parallel ties need the smaller.
+BENEATH = REGULARISATIONS[1:]
+# The rounding of a response in doubles, relative to the forces.
+ROUNDED_RESPONSE = 64 * EPS
+# The most free motions that are looked for by so many iterations, and energies of unit motions that count as none, or
+# may be one of a soft body.
+MOST_FREE, ITERATIONS, FREE, SOFT, HELD = 16, 3, 1e-13, 1e-11, 1e-11
 
 # A solution or right-hand side: unknowns (n,), normal and friction forces of contacts (m,), and ties (k,).
 _Parts = tuple[Vector, Vector, Vector, Vector]
@@ -388,3 +401,91 @@ def refined_sparse(problem: ContactProblem, status: Status, start: Answer, sweep
     """
     rows = frictional_rows(problem)
     return refined_by(lambda *_: rows.system(problem, status), problem, rows, status, start, sweeps=sweeps)
+
+
+class TiedBodies:
+    """The response of an equilibrated problem's bodies to forces, with all contacts open and their ties held.
+
+    Parameters
+    ----------
+    problem : ContactProblem, equilibrated
+    units : (n,) array, those of its unknowns
+    """
+
+    def __init__(self, problem: ContactProblem, units: Vector) -> None:
+        self._problem, self._units, self._left = problem, units, list(BENEATH)
+        self._saddle, self._motions = self._next(), np.zeros((problem.dimension, 0))
+
+    def _next(self) -> SparseSaddle:
+        return SparseSaddle(self._problem, np.zeros(0, dtype=np.intp), self._left.pop(0))
+
+    def response(self, force: Vector, balancing: Any = None) -> tuple[float, float] | None:
+        """Return |y|_K with K y + A'nu = P f and A y = 0 for forces f (n,), and what its refinement leaves open.
+
+        P removes the part that drives motions which neither K nor ties resist, in the units of the problem. Where there
+        are some, f less the forces of `balancing` rows that balance it on them takes its place. None if these do not,
+        or if what resists is too soft to be told from nothing.
+        """
+        if not force.any():
+            return 0.0, 0.0
+        found = None if self._motions.shape[1] else self._swept(force)
+        if found is None and not self._motions.shape[1]:
+            self._motions = self._free_motions()
+        if self._motions.shape[1]:
+            balanced = force if balancing is None else self._balanced(force, balancing)
+            found = None if balanced is None else self._swept(force := balanced)
+            if balanced is None:
+                return None
+        while found is None and self._left:
+            try:
+                self._saddle = self._next()
+            except BackendFailed:
+                break
+            found = self._swept(force)
+        return found
+
+    def _balanced(self, force: Vector, rows: Any) -> Vector | None:
+        """Return forces (n,) less the least ones of rows (q, n) that balance them on free motions, None if none do."""
+        motions = self._motions / self._units[:, None]
+        driven, moved = motions.T @ force, rows @ motions
+        share = np.linalg.lstsq(moved.T, driven, rcond=None)[0]
+        left = abs(moved.T @ share - driven)
+        return force - rows.T @ share if np.all(left <= SETTLED * abs(motions).T @ abs(force)) else None
+
+    def _swept(self, force: Vector) -> tuple[float, float] | None:
+        """Return the norm after sweeps of refinement and what further ones may change; None if they do not contract."""
+        K, A, change = self._problem.stiffness_rows, self._problem.tie, np.inf
+        force = force - self._units * (self._motions @ (self._motions.T @ (force / self._units)))
+        y, nu, left, size = np.zeros(len(force)), np.zeros(self._problem.ties), force, 0.0
+        for _ in range(SWEEPS):
+            du, _, dn = self._saddle.solve(left, np.zeros(0), -(A @ y))
+            y, nu, before, change = y + du, nu + dn, change, self._strain(du)
+            left, size = force - K @ y - A.T @ nu, self._strain(y)
+            if change <= SETTLED * size or change > CONTRACTS * before:
+                break
+        met = np.linalg.norm(left) <= SETTLED * np.linalg.norm(force)
+        rounded = ROUNDED_RESPONSE * float(np.linalg.norm(force))
+        return (size, 2 * change + rounded) if met and change <= SETTLED * size + rounded else None
+
+    def _strain(self, y: Vector) -> float:
+        return float(np.sqrt(max(float(y @ (self._problem.stiffness_rows @ y)), 0.0)))
+
+    def _free_motions(self) -> Array:
+        """Return orthonormal motions (n, q) that neither K nor ties resist, none if there are many or some are soft.
+
+        The response of the regularised system to random forces consists of them, more so in every iteration.
+        """
+        count, K = min(MOST_FREE, self._problem.dimension), self._problem.stiffness_rows
+        motions = np.random.default_rng(0).standard_normal((self._problem.dimension, count))
+        for _ in range(ITERATIONS):
+            moved = [self._saddle.solve(z, np.zeros(0), np.zeros(self._problem.ties))[0] for z in motions.T]
+            motions = np.linalg.qr(np.column_stack(moved))[0]
+        values, turned = np.linalg.eigh(motions.T @ (K @ motions))
+        free = values <= FREE
+        if np.any(~free & (values < SOFT)) or (free.all() and count < self._problem.dimension):
+            return motions[:, :0]
+        motions = motions @ turned[:, free]
+        if self._problem.ties:
+            held, turned = right_singular(self._problem.tie @ motions)
+            motions = motions @ turned[int(np.sum(held > HELD)) :].T
+        return orthonormal(self._units[:, None] * motions)

@@ -10,7 +10,8 @@ import scipy.sparse as sp
 
 import contactqp as cq
 from benchmarks.judging import exact_truth
-from contactqp.certificate.energy_bounds import CAUTION, NOT_APART, _taken_at_random, energy_bounds
+from contactqp.certificate.energy_bounds import CAUTION, NOT_APART, energy_bounds
+from contactqp.certificate.uniqueness import _taken_at_random
 from contactqp.model.solution import Answer
 
 
