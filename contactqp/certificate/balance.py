@@ -246,12 +246,14 @@ def shared_by_rounding(
     saddle : the factorised system of the closed contacts
     displacement : (n,) array [length], whose rigid part makes the forces
     cleared : the part of all forces that K was cleared of
-    push : (m,) array, the contact forces; without them and without a load nothing has forces
+    push : (m,) array, the contact forces; without them, or imposed lengths, and without a load nothing has forces
     """
     forces = resisting_forces(problem, condensation, displacement, cleared)
     if not forces.any():
         return np.zeros(problem.contacts), 0.0, True
-    unsure, motions = cleared > RESISTED and bool(problem.load.any() or push.any()), condensation.rigid.motions
+    imposed = problem.gap[saddle.closed].any() or problem.tie_value.any()  # without it, forces are noise
+    acts, motions = bool(problem.load.any() or (push.any() and imposed)), condensation.rigid.motions
+    unsure = cleared > RESISTED and acts
     if unsure:
         spread = problem.diagonal[:, None] * motions
         forces = forces - spread @ np.linalg.lstsq(motions.T @ spread, motions.T @ forces, rcond=None)[0]
