@@ -49,8 +49,9 @@ from contactqp.solving.runs import Run, after, described
 
 # Backends that identify the closed contacts, tried in this order, each with its tolerance and whether the problem is
 # equilibrated first. Clarabel scales the original problem best, and its factors have the least fill-in with general
-# rows; with bounds only, PIQP's factors are those of K, or of the ties where K is diagonal. In narrow bands they are as
-# few, and PIQP identifies contacts at nearly dependent rows, for which Clarabel is run twice.
+# rows; with bounds only, PIQP's factors are those of K, or of the ties where K is diagonal. In narrow bands of
+# unknowns with stiffness they are as few, and PIQP identifies contacts at nearly dependent rows, for which Clarabel is
+# run twice; its forces on rows that are nearly parallel are less near, which stiffness can tell.
 OWN, EQUILIBRATED, BALANCED_UNITS = range(3)
 IDENTIFICATIONS = (
     ("clarabel", 1e-9, OWN),
@@ -180,9 +181,8 @@ class SparseRun(Run):
         elif (found := _by_iteration(self.problem, settings)) is not None:
             yield found
         backends = OF_FEW_ENTRIES if _leaves_few_entries(self.problem) else IDENTIFICATIONS
-        order, steps, nearly_dependent = list(backends), None, False
-        program = mostly_bare(self.problem)
-        order = [other for other in order if program or other[2] != BALANCED_UNITS]
+        steps, nearly_dependent, program = None, False, mostly_bare(self.problem)
+        order = [other for other in backends if program or other[2] != BALANCED_UNITS]
         while order and self._effort.factorisations < self._most:
             name, tolerance, units = order.pop(0)
             refuse_late(f"{name} began")
@@ -425,7 +425,7 @@ def _leaves_few_entries(problem: ContactProblem) -> bool:
     if not several.any() and (not problem.ties or _separate(problem)):
         return True
     rows = sp.vstack([problem.normal[np.flatnonzero(several)], problem.tie], format="csr")
-    return in_narrow_band(problem.stiffness_rows, rows)
+    return bool(problem.diagonal.all()) and in_narrow_band(problem.stiffness_rows, rows)
 
 
 def _separate(problem: ContactProblem) -> bool:
