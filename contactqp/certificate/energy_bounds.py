@@ -71,8 +71,7 @@ from contactqp.model.arrays import EPS, TINY, Mask, Vector, seconds_of_unfinishe
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BY_DISPLACEMENT, BY_ENERGY, Answer
 
-# If a residual of equilibrium costs more than this part of the energy, nearby constraints are used to bound it.
-NOTABLE = 1e-11
+NOTABLE = 1e-11  # a residual of equilibrium that costs more of the energy is bounded by nearby constraints
 # Energies whose bounds are wider than this part are not enclosed well enough for the certificate, which asks for 1e-9.
 DOUBTFUL = 1e-10
 # Energies and forces due to this relative rounding of lengths count as zero, as do works of such forces within REACH.
@@ -84,8 +83,7 @@ CLOSE_BY = 1e-6  # an answer is accepted if it is this close to a solution up to
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
-# With an elastic energy below minus this part of the energy's terms, a stationary point is no minimum.
-NEGATIVE = 1e-9
+NEGATIVE = 1e-9  # with an elastic energy below minus this part of the energy's terms, a stationary point is no minimum
 NO_MINIMUM = "the elastic energy of the solution near the answer is negative: no minimum, as rounding of K decides"
 MOTIONS_OF_A_BODY = 6  # rigid ones, in space
 Response = Callable[[Vector], tuple[float, float] | None]  # the energy norm of that to forces (n,), and its error
@@ -250,6 +248,8 @@ def _from_solution(
     # Forces of open contacts of a program are unknown: only rounding counts as no penetration.
     passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
     meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
+    if state.force_residual > BALANCED and not problem.ties:  # a load that is rounding drives what nothing strains
+        untold = min(untold, distance)
     if meets and not np.any(passed > SOLVED):
         return found, untold, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
