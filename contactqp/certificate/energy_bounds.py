@@ -196,8 +196,7 @@ def _from_solution(
     solution, root = state.answer.double(), float(np.sqrt(unit := scaling.length * scaling.force))
     wide, least = _width(state), NO_LENGTH * state.length
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
-    strain, uncertain = energy_norm(problem, state.answer.displacement)
-    strain = max(strain - uncertain, 0.0)
+    strain = max(float(np.subtract(*energy_norm(problem, state.answer.displacement))), 0.0)  # less its rounding
     energy, size, elastic = _energy(state)
     moved = abs(solution.displacement)
     rounding = NO_LENGTH * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
@@ -248,8 +247,7 @@ def _from_solution(
     # Forces of open contacts of a program are unknown: only rounding counts as no penetration.
     passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
     meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
-    if state.force_residual > BALANCED and not problem.ties:  # a load that is rounding drives what nothing strains
-        untold = min(untold, distance)
+    untold = untold if problem.ties or state.force_residual <= BALANCED else min(untold, distance)  # rounding drives
     if meets and not np.any(passed > SOLVED):
         return found, untold, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY

@@ -60,13 +60,12 @@ CANCELLED = 1e-4
 LOST_DIGITS = 8 * EPS
 # Rounding of a condensed stiffness relative to its diagonal; larger negative pivots show an indefinite K.
 CONDENSED_ROUNDING = 1e-6
-# The size of K up to which its eigenvectors are cheap.
-SMALL = 900
+SMALL = 900  # the size of K up to which its eigenvectors are cheap
 # For large bodies without stated rigid motions some nodes are retained in advance, if their unknowns are at most this
 # number, or this part of the touched ones, which is cheap compared with a second factorisation.
 FEW_MORE, PART_MORE = 48, 0.125
-# The energy, relative to that change, below which a motion of a changed printed stiffness is not elastic.
-LOST = 1e-2
+LOST = 1e-2  # the energy, relative to that change, below which a motion of a changed printed stiffness is not elastic
+TOLD = 1e-13  # the least energy of a soft motion, K scaled to unit diagonal, that its rounding does not change
 
 
 class Condensation:
@@ -108,7 +107,8 @@ class Condensation:
             self.rigid = stated
         elif self._may_be_singular(problem):
             self._find_rigid_motions(problem, touched)
-            self.rigid = stated if stated.count == self.rigid.count else self.rigid  # not mixed with soft motions
+            if stated.count == self.rigid.count and self.rigid.softest > TOLD:  # not mixed with soft motions
+                self.rigid = RigidMotions(stated.motions, self.rigid.softest, stated.forces)
         if self.rigid.softest < LOST * problem.rigid_change:
             raise InvalidProblem(
                 f"stiffness: it was printed, and {self.rigid.softest:.2g} of it resists a motion, which lost digits "
