@@ -190,7 +190,8 @@ def _from_solution(
     and the solution with which forces were compared.
 
     If its closed contacts conflict by rounding, the solution is completed by a vertex; as zero forces of touching
-    contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ.
+    contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ. A load
+    that is rounding and drives a motion strains nothing, so that |U - u*|_K is then at most the answer's own distance.
     """
     state = without_conflict(held, Effort())
     solution, root = state.answer.double(), float(np.sqrt(unit := scaling.length * scaling.force))
@@ -247,7 +248,7 @@ def _from_solution(
     # Forces of open contacts of a program are unknown: only rounding counts as no penetration.
     passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
     meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
-    untold = untold if problem.ties or state.force_residual <= BALANCED else min(untold, distance)  # rounding drives
+    untold = untold if problem.ties or state.force_residual <= BALANCED else min(untold, distance)
     if meets and not np.any(passed > SOLVED):
         return found, untold, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY

@@ -65,7 +65,7 @@ SMALL = 900  # the size of K up to which its eigenvectors are cheap
 # number, or this part of the touched ones, which is cheap compared with a second factorisation.
 FEW_MORE, PART_MORE = 48, 0.125
 LOST = 1e-2  # the energy, relative to that change, below which a motion of a changed printed stiffness is not elastic
-TOLD = 1e-13  # the least energy of a soft motion, K scaled to unit diagonal, that its rounding does not change
+LEAST_SOFT = 1e-13  # the least energy of a soft motion, K scaled to unit diagonal, that its rounding does not change
 
 
 class Condensation:
@@ -107,7 +107,7 @@ class Condensation:
             self.rigid = stated
         elif self._may_be_singular(problem):
             self._find_rigid_motions(problem, touched)
-            if stated.count == self.rigid.count and self.rigid.softest > TOLD:  # not mixed with soft motions
+            if stated.count == self.rigid.count and self.rigid.softest > LEAST_SOFT:  # not mixed with soft motions
                 self.rigid = RigidMotions(stated.motions, self.rigid.softest, stated.forces)
         if self.rigid.softest < LOST * problem.rigid_change:
             raise InvalidProblem(

@@ -364,10 +364,11 @@ def _with_springs(problem: ContactProblem) -> tuple[Indices, ContactProblem]:
     assert problem.slip_origin is not None
     assert problem.friction is not None
     compliance = own_compliance(problem, problem.tangent)
-    rubs = (compliance > 0) & (problem.friction > 0)
-    springs = sp.diags(np.divide(1.0, compliance, out=np.zeros(len(compliance)), where=rubs)) @ problem.tangent
+    has_friction = (compliance > 0) & (problem.friction > 0)
+    springs = sp.diags(np.divide(1.0, compliance, out=np.zeros(len(compliance)), where=has_friction)) @ problem.tangent
     K, load = problem.tangent.T @ springs, springs.T @ problem.slip_origin.ravel()
-    held = ContactProblem(problem.stiffness_rows + K, problem.load + load, problem.normal, problem.gap)
+    ties = {"tie": problem.tie, "tie_value": problem.tie_value}
+    held = ContactProblem(problem.stiffness_rows + K, problem.load + load, problem.normal, problem.gap, **ties)
     return np.zeros(0, dtype=np.intp), held
 
 
@@ -381,7 +382,8 @@ def _with_bounds(problem: ContactProblem, bounds: Vector) -> tuple[Indices, Cont
     rows = sp.bmat([[problem.normal, None], [along, -one], [-along, -one]], format="csr")
     K = sp.block_diag([problem.stiffness_rows, sp.csr_matrix((count, count))], format="csr")
     gap = np.concatenate([problem.gap, origin, -origin])
-    return bounded, ContactProblem(K, np.append(problem.load, -bounds[bounded]), rows, gap)
+    ties = {"tie": sp.hstack([problem.tie, sp.csr_matrix((problem.ties, count))]), "tie_value": problem.tie_value}
+    return bounded, ContactProblem(K, np.append(problem.load, -bounds[bounded]), rows, gap, **ties)
 
 
 def _combination(problem: ContactProblem, found: Answer, bounded: Indices, bounds: Vector | None) -> Status:

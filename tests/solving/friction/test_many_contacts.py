@@ -298,3 +298,14 @@ def test_floating_blocks_are_solved_by_the_factors_of_another_combination() -> N
     right = [rng.normal(size=size) for size in (problem.dimension, m, m, 0)]
     for here, there in zip(*(vars(system.correct(*right)).values() for system in (by_factors, anew)), strict=True):
         assert here == pytest.approx(there, abs=1e-11 * float(np.max(abs(there), initial=0.0)))
+
+
+def test_the_convex_problems_that_combinations_come_from_hold_ties() -> None:
+    """Two blocks that a tie joins move together in the problem with springs and in Tresca's."""
+    problem = cq.ContactProblem(
+        np.diag([4.0, 4.0, 1.0, 1.0]), [1.0, -2.0, 0.0, 0.0], [[0.0, -1.0, 0.0, 0.0]], [0.0],
+        tangent=[[1.0, 0.0, 0.0, 0.0]], friction=0.3, tie=[[1.0, 0.0, -1.0, 0.0]], tie_value=[0.5],
+    )  # fmt: skip
+    for _, posed in (newton._with_springs(problem), newton._with_bounds(problem, np.array([0.6]))):
+        u = cq.solve(posed).displacement
+        assert u[0] - u[2] == pytest.approx(0.5)
