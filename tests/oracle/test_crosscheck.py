@@ -298,7 +298,12 @@ def test_pressures_on_the_axis_of_round_blocks_are_those_beside_it(tmp_path: pat
     deck.lines += ["*BOUNDARY", "BOTTOM, 2, 2", "A, 1, 1", "B, 1, 1"]
     deck.step += ["*BOUNDARY", "TOP, 2, 2, -0.001"]
     file = write(tmp_path, deck.text())
-    (pair,) = cq.crosscheck(file, printed(file, 1.1 * exact(file))).pairs
+    u = 1.1 * exact(file)
+    if element == "quad8":  # CalculiX prints means over a wedge: at corners of both sides and four times the middle
+        on_grid = np.isclose(cq.read_deck(file).assembly.points * [4.0, 2.0] % 1.0, 0.0).all(axis=1)
+        side = np.cos(np.pi / 180.0)
+        u[::2] *= np.where(on_grid, (2.0 + side) / 3.0, side)
+    (pair,) = cq.crosscheck(file, printed(file, u)).pairs
     mean = pair.reference_resultant / np.pi
     assert pair.reference_pressure == pytest.approx(np.full(len(pair.labels), mean), rel=1e-6)
     assert pair.pressure == pytest.approx(1.1 * pair.reference_pressure, rel=1e-4)

@@ -121,6 +121,27 @@ def test_plane_and_axisymmetric_decks_are_right(tmp_path: pathlib.Path, model: s
     assert found.passed, found.summary()
 
 
+@pytest.mark.parametrize("element", ["quad8", "tri6", "quad4"])
+def test_an_axisymmetric_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path, element: str) -> None:
+    """A shaft of 5 to 20 mm in a hub of 20 to 40 mm, 4 mm long, held along the axis, with 0.01 mm of interference."""
+    deck = Deck("CAX")
+    for name, inner, width in (("HUB", 20.0, 20.0), ("SHAFT", 5.0, 15.01)):
+        mesh = cq.rectangle(width, 4.0, (12, 2), element, corner=(inner, 0.0))
+        deck.body(name, mesh, section="")
+    deck.surface("SLAVE", "HUB", "left")
+    deck.surface("MASTER", "SHAFT", "right")
+    deck.pair(NODES, STIFF[NODES])
+    held = [(name, side) for name in ("HUB", "SHAFT") for side in ("bottom", "top")]
+    for name, side in held:
+        deck.nset(name + side.upper(), name, side)
+    deck.lines += ["*BOUNDARY", *(f"{name}{side.upper()}, 2, 2" for name, side in held)]
+    found = cq.crosscheck(write(tmp_path, deck.text()), error_tolerance=2e-3)
+    assert found.passed, found.summary()
+    coarse = 1e-2 if element == "quad4" else 3e-3
+    assert found.pairs[0].reference_resultant == pytest.approx(4 * lame_force(), rel=coarse)
+    assert "out of balance" not in found.summary()
+
+
 @pytest.mark.slow
 def test_a_tie_moves_as_in_calculix(tmp_path: pathlib.Path) -> None:
     text = two_blocks("hex8", NODES, STIFF[NODES])

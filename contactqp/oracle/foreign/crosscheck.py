@@ -161,6 +161,7 @@ def _displacements(deck: Deck, file: Path, *, ran: bool) -> tuple[Vector, Vector
     with np.errstate(divide="ignore"):
         exponent = np.floor(np.log10(abs(u)))
     unit = np.where(u == 0, 0.0, 10.0 ** (np.where(u == 0, 0.0, exponent) - digits + 1))
+    u = deck.assembly.full_radii(u)
     return deck.assembly.with_thicknesses(u), np.pad(unit, (0, len(topology.thicknesses)))
 
 
