@@ -133,9 +133,7 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     unit, across = partial(_unit, Z=Z, still=_still(Z, _positive_scale(problem))), problem.tangent
     in_space = problem.frictional and across is not None and across.shape[0] > problem.contacts
     slips = (lambda along: np.asarray(across @ (Z @ along)).reshape(-1, 2)) if in_space else None
-    coordinates, resisting = unresisted_in_cones(
-        drive, partial(resisting_rows, problem), unit, unit(problem.tie), slips
-    )
+    coordinates, resisting = driven_in_cones(drive, partial(resisting_rows, problem), unit, unit(problem.tie), slips)
     if coordinates is None:
         return None
     for stated in _stated_ahead(problem):  # a translation is clearer than the steepest motion
@@ -147,7 +145,7 @@ def driven_motion(problem: ContactProblem, rigid: RigidMotions, doubtful: bool =
     return found if found is not None and (doubtful or found.work > found.rounding) else None
 
 
-def unresisted_in_cones(
+def driven_in_cones(
     drive: Vector,
     rows_at: Callable[[Array | None, bool], Any],
     unit: Callable[[Any], Array],
@@ -158,19 +156,19 @@ def unresisted_in_cones(
 
     Parameters
     ----------
-    drive, tie : as `unresisted` takes them
+    drive, tie : as `driven_coordinates` takes them
     rows_at : gives the rows with polygons of these sides (m, k) within or around the cones, as `resisting_rows`
     unit : gives unit rows of coordinates
     slips : those (m, 2) along coordinates; None in the plane and without friction, where polygons are exact
     """
     resisting, sides = rows_at(None, True), None
-    coordinates = unresisted(drive, unit(resisting), tie)
+    coordinates = driven_coordinates(drive, unit(resisting), tie)
     for polygon in range(POLYGONS if slips is not None and coordinates is None else 0):
-        outer = _unresisted(drive, unit(rows_at(sides, False)), tie, HARDLY_DRIVEN)
+        outer = driven_coordinates(drive, unit(rows_at(sides, False)), tie, HARDLY_DRIVEN)
         if outer is None or slips is None:
             break
         resisting = rows_at(sides_from(slips(outer)), True)
-        if (coordinates := _unresisted(drive, unit(resisting), tie, HARDLY_DRIVEN)) is not None:
+        if (coordinates := driven_coordinates(drive, unit(resisting), tie, HARDLY_DRIVEN)) is not None:
             break
         sides = sides_nearby(slips(outer), 2 * polygon // POLYGONS)
     return coordinates, resisting
@@ -187,12 +185,14 @@ def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
             yield np.sign(work[k]) * Z[:, k]
 
 
-def unresisted(drive: Vector, normal: Array, tie: Array) -> Array | None:
-    """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, for unit rows in floats, else None."""
-    return _unresisted(drive, normal, tie, DRIVEN)
+def driven_coordinates(drive: Vector, normal: Array, tie: Array, least: float = DRIVEN) -> Array | None:
+    """Return coordinates a (r,) with normal a <= 0, tie a = 0 and drive'a > 0, for unit rows in floats, else None.
 
-
-def _unresisted(drive: Vector, normal: Array, tie: Array, least: float) -> Array | None:
+    Parameters
+    ----------
+    drive, normal, tie : (r,), (m, r) and (k, r) arrays, the work of the load on each motion, and unit rows
+    least : the part of |drive|'|a| that drive'a must exceed
+    """
     coordinates = _steepest(drive, normal, tie)
     if coordinates is None:
         return None
@@ -396,7 +396,7 @@ def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool =
     for motion in (np.round(z), z):  # exact with integers, where they suffice
         work = float(extend(twin.load).dot(extend(motion)))
         rounding = WITHIN_ROUNDING * float(abs(twin.load) @ abs(motion))
-        if not (work > max(rounding, least) and _unresisted_exactly(twin, held, motion)):
+        if not (work > max(rounding, least) and _is_unresisted(twin, held, motion)):
             continue
         if not (strictly and np.any((SparseRows(twin.stiffness_rows) @ extend(motion)).double())):
             refuse_sparse_conflict(problem)
@@ -421,7 +421,7 @@ def _projected(problem: ContactProblem, held: Any, motion: Vector) -> Vector:
     return motion
 
 
-def _unresisted_exactly(problem: ContactProblem, held: Any, motion: Vector) -> bool:
+def _is_unresisted(problem: ContactProblem, held: Any, motion: Vector) -> bool:
     """Return whether no row resists a motion beyond the rounding of its sums."""
     for rows, signed in ((held, False), (problem.normal, True)):
         moved = (SparseRows(rows) @ extend(motion)).double()

@@ -165,7 +165,7 @@ class StateSystem:
         held, stiffness = rows.all_rows[self._acting], rows.S
         if independent:
             kept = independent_rows(_of_unit_length(held))
-            free = _unresisted(rows.motions, np.concatenate([held, added]))
+            free = _motions_across(rows.motions, np.concatenate([held, added]))
             stiffness = stiffness + free @ free.T
             self.redundant = len(kept) < len(held)
             held, self._acting = held[kept], self._acting[kept]
@@ -235,7 +235,7 @@ class StateSystem:
         return [Correction(*one) for one in zip(moved, forces[:, :m], along, forces[:, end:], strict=True)]
 
 
-def _unresisted(motions: Array, held: Array) -> Array:
+def _motions_across(motions: Array, held: Array) -> Array:
     """Return combinations of orthonormal motions (p, q) that no constrained row resists."""
     if not motions.shape[1] or not len(held):
         return motions

@@ -137,7 +137,7 @@ def independent_columns(a: fmpq_mat, prime: int) -> list[int]:
     return pivot_columns(reduced)[:rank]
 
 
-def independent_rows(a: fmpq_mat) -> list[int]:
+def row_basis(a: fmpq_mat) -> list[int]:
     """Return a basis of the rows, verified by `null_space` if it leaves any out."""
     for prime in PRIMES:
         rows = independent_columns(a.transpose(), prime)

@@ -16,10 +16,10 @@ from contactqp.linalg.rational import (
     NoSolution,
     column,
     fractions,
-    independent_rows,
     is_semidefinite,
     matrix,
     null_space,
+    row_basis,
     solve_any,
     zeros,
 )
@@ -161,7 +161,7 @@ def test_ranks_that_a_prime_hides_are_found_out() -> None:
     hidden = matrix(np.eye(2))
     hidden[0, 0] = fmpq(prime)
     assert null_space(hidden).ncols() == 0
-    assert len(independent_rows(hidden)) == 2
+    assert len(row_basis(hidden)) == 2
     found = solve_any(hidden, column([1.0, 1.0]))
     assert found is not None
     assert found[1]

@@ -25,9 +25,9 @@ from contactqp.linalg.rational import (
     column,
     fraction,
     from_fraction,
-    independent_rows,
     least_change,
     null_space,
+    row_basis,
     solve_any,
     stack,
     take,
@@ -251,7 +251,7 @@ def _least(system: System, start: fmpq_mat, directions: fmpq_mat, conditions: fm
     moved = take(directions, contacts)
     # Directions that change no contact force, if only ties are redundant.
     idle = directions * null_space(moved)
-    shifts = take_columns(directions, independent_rows(moved.transpose()))
+    shifts = take_columns(directions, row_basis(moved.transpose()))
     family = Family(take(start, contacts), take(shifts, contacts), conditions * start, conditions * shifts)
     if not shifts.ncols() and any(x < 0 for x in family.room.entries()):
         return None

@@ -32,11 +32,11 @@ from contactqp.linalg.rational import (
     fraction_rows,
     fractions,
     from_fraction,
-    independent_rows,
     is_zero,
     matrix,
     null_space,
     rational,
+    row_basis,
     solve_any,
     stack,
     sum_of_products,
@@ -487,7 +487,7 @@ def reduce_problem(data: RationalProblem) -> Reduced:
 
 
 def _independent_ties(data: RationalProblem) -> list[int]:
-    kept = independent_rows(data.A)
+    kept = row_basis(data.A)
     if len(kept) < data.ties and solve_any(data.A, data.b) is None:
         raise NoSolution("the ties contradict each other")
     return kept

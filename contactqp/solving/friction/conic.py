@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
 from contactqp.linalg.dense import BALANCED, unknown_scale
 from contactqp.linalg.exact_algebra import Polyhedron, Row, solutions
-from contactqp.linalg.existence import unresisted, unresisted_in_cones
+from contactqp.linalg.existence import driven_coordinates, driven_in_cones
 from contactqp.linalg.extended import SparseRows, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import forces_that_meet
@@ -165,7 +165,7 @@ def refuse_unbalanced(form: LocalForm) -> None:
     if not np.any(s) or np.any(form.R[:, hard]):
         return
     V = V.reshape(form.m, form.d, len(hard))
-    motion, rows = unresisted_in_cones(
+    motion, rows = driven_in_cones(
         s,
         partial(_resisting, V, form.mu),
         lambda rows: rows / np.where((size := np.max(abs(rows), axis=1, keepdims=True)) > 0, size, 1.0),
@@ -214,7 +214,7 @@ def refuse_penetrated(form: LocalForm) -> None:
         return
     rows = np.vstack([W.T, form.V[::d].T])
     size = np.max(abs(rows), axis=1)
-    weights = unresisted(-form.q[::d], -np.eye(form.m), rows[size > 0] / size[size > 0, None])
+    weights = driven_coordinates(-form.q[::d], -np.eye(form.m), rows[size > 0] / size[size > 0, None])
     if weights is None or not np.any(weights > 0):
         return
     largest = float(np.max(weights))

@@ -28,8 +28,8 @@ from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.methods.method import COMPLEMENTARITY, Method, Settings
 from contactqp.solving.methods.textbook_algebra import (
     TEXTBOOK_ROUNDING,
-    independent_rows,
     refuse_contradiction,
+    rows_independent_of_earlier,
     solve_linear,
     spread,
 )
@@ -68,7 +68,7 @@ def compliance(name: str, problem: ContactProblem) -> Compliance:
         The load drives a rigid motion that no contact and no tie resists; or ties contradict each other.
     """
     K = problem.stiffness.toarray() if sp.issparse(problem.stiffness) else problem.stiffness
-    ties = independent_rows(problem.tie)
+    ties = rows_independent_of_earlier(problem.tie)
     refuse_contradiction(name, problem, ties)
     A, E = problem.tie[ties].toarray(), problem.normal.toarray()
     rigid = _rigid_motions(problem)

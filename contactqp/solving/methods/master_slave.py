@@ -14,7 +14,12 @@ from contactqp.model.solution import Candidate
 from contactqp.solving.methods.method import CLASSICAL_ENFORCEMENT, Method, Settings
 from contactqp.solving.methods.status_loop import status_loop
 from contactqp.solving.methods.stick_and_slip import FrictionalStep, status_rows
-from contactqp.solving.methods.textbook_algebra import SingularSystem, binding_rows, independent_rows, solve_linear
+from contactqp.solving.methods.textbook_algebra import (
+    SingularSystem,
+    binding_rows,
+    rows_independent_of_earlier,
+    solve_linear,
+)
 from contactqp.solving.methods.textbook_loop import Step, active_set_loop
 
 NAME = "master-slave"
@@ -63,7 +68,7 @@ def solve_frictional(problem: ContactProblem, settings: Settings) -> Candidate:
 
 def _enforce_friction(problem: ContactProblem, status: Status, preference: Indices) -> FrictionalStep:
     rows = status_rows(NAME, problem, status, preference, independent=True)
-    if independent_rows(rows.pushed).size < rows.values.size:
+    if rows_independent_of_earlier(rows.pushed).size < rows.values.size:
         raise SingularSystem(f"{NAME}: the forces of contacts that slip depend on each other")
     B, offset = transformation(rows.held, rows.values, choose_slaves(rows.held))
     slaves = choose_slaves(rows.pushed)

@@ -22,7 +22,12 @@ from contactqp.model.coulomb import OPEN, STICK, Status
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.solution import Answer
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.textbook_algebra import contact_stiffness, independent_rows, refuse_contradiction, spread
+from contactqp.solving.methods.textbook_algebra import (
+    contact_stiffness,
+    refuse_contradiction,
+    rows_independent_of_earlier,
+    spread,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +119,12 @@ def status_rows(
     independent : whether rows that follow from those before them are left out
     """
     E_N, E_T = problem.normal, sp.csr_array(problem.tangent)
-    ties = independent_rows(problem.tie)
+    ties = rows_independent_of_earlier(problem.tie)
     refuse_contradiction(name, problem, ties)
     closed = preference[(status != OPEN)[preference]]
     stuck = closed[status[closed] == STICK]
     held = _stacked(problem.tie[ties], E_N[closed], E_T[stuck])
-    if independent and len(kept := independent_rows(held)) < held.shape[0]:
+    if independent and len(kept := rows_independent_of_earlier(held)) < held.shape[0]:
         normal = kept[(kept >= ties.size) & (kept < ties.size + closed.size)] - ties.size
         tangential = stuck[kept[kept >= ties.size + closed.size] - ties.size - closed.size]
         closed = closed[normal]

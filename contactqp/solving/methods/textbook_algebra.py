@@ -52,11 +52,11 @@ def binding_rows(
     ties, contacts : index arrays
         Which ties and which contacts the rows are, in this order.
     """
-    ties = independent_rows(problem.tie)
+    ties = rows_independent_of_earlier(problem.tie)
     refuse_contradiction(name, problem, ties)
     candidates = preference[closed[preference]]
     both = sp.csr_array(sp.vstack([problem.tie[ties], problem.normal[candidates]], format="csr"))
-    kept = independent_rows(both)
+    kept = rows_independent_of_earlier(both)
     contacts = candidates[kept[kept >= ties.size] - ties.size]
     rows = sp.csr_array(sp.vstack([problem.tie[ties], problem.normal[contacts]], format="csr"))
     return rows, np.concatenate([problem.tie_value[ties], problem.gap[contacts]]), ties, contacts
@@ -84,7 +84,7 @@ def refuse_contradiction(name: str, problem: ContactProblem, kept: Indices) -> N
         raise NotConverged(f"{name}: tie {int(dropped[wrong][0])} contradicts the other ties")
 
 
-def independent_rows(rows: Matrix) -> Indices:
+def rows_independent_of_earlier(rows: Matrix) -> Indices:
     """Return the increasing indices of the rows that do not depend on the rows before them."""
     count = rows.shape[0]
     if count < 2:

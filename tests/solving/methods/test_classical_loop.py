@@ -16,7 +16,7 @@ from contactqp.model.problem import ContactProblem
 from contactqp.solving.methods.augmented_lagrangian import solve_augmented_lagrangian
 from contactqp.solving.methods.master_slave import choose_slaves, transformation
 from contactqp.solving.methods.method import Settings
-from contactqp.solving.methods.textbook_algebra import independent_rows, solve_linear
+from contactqp.solving.methods.textbook_algebra import rows_independent_of_earlier, solve_linear
 from tests.solving.methods.enforcements import EXACT, PENALISED, answer, penalised, sparse
 from tests.solving.methods.static_examples import (
     DEPENDENT,
@@ -164,7 +164,7 @@ def test_unsymmetric_systems_are_singular_or_not_whatever_their_units(form: obje
 
 def test_independent_rows_keep_the_first_of_dependent_ones() -> None:
     rows = sp.csr_array([[1.0, 0, 0], [0, 1, 0], [1, 1, 0], [2, 0, 0], [1, 1, 1e-9], [0, 0, 5.0]])
-    assert independent_rows(rows).tolist() == [0, 1, 4]
+    assert rows_independent_of_earlier(rows).tolist() == [0, 1, 4]
 
 
 def test_slaves_and_their_transformation_satisfy_the_constraints() -> None:
