@@ -100,8 +100,8 @@ class CaseStudy:
         values = np.concatenate([displacement, normal_force])
         count, size = int(np.sum(np.isfinite(values))), len(values)
         if own is None:
-            whole = count == size
-            return Truth(self.problem, displacement, normal_force, None, "the case's exact values") if whole else None
+            source = "the case's exact values"
+            return Truth(displacement, normal_force, None, source, problem=self.problem) if count == size else None
         proven = truth_of_solution(own)
         if not count:
             return proven

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from math import ceil
 from typing import Any
@@ -31,7 +31,7 @@ from contactqp.study.running.runner import Progress, run_cells
 from contactqp.study.running.workers import Pool, Workers
 from contactqp.study.settings import BRIEF_LADDERS, Setting
 from contactqp.study.statistics import BODY
-from contactqp.study.truth import Truth
+from contactqp.study.truth import TrueAnswer, Truth
 
 # The most linear solves that are timed, and the seconds after which no more are.
 REPEATS, ENOUGH_SOLVES = 9, 0.2
@@ -102,27 +102,21 @@ class Ticket:
 
 @dataclass(frozen=True, eq=False)
 class FoundTruth:
-    """The truth of a case without its problem; `values` is None where nothing is proven."""
+    """The truth of a case without its problem, which every process builds; `answer` is None where nothing is proven."""
 
     source: str
-    values: tuple[Vector, Vector, Vector | None] | None = None  # displacement, normal and tie forces, as in `Truth`
-    unique_forces: bool = True
-    free: bool = False
-    contradicted: bool = False
+    answer: TrueAnswer | None = None
 
     @classmethod
     def of(cls, truth: Truth | None) -> FoundTruth:
         """Return the truth without its problem."""
         if truth is None:
             return cls("nothing, as no answer is proven")
-        values = (truth.displacement, truth.normal_force, truth.tie_force)
-        return cls(truth.source, values, truth.unique_forces, truth.free, truth.contradicted)
+        return cls(truth.source, TrueAnswer(**{one.name: getattr(truth, one.name) for one in fields(TrueAnswer)}))
 
     def on(self, study: CaseStudy) -> Truth | None:
         """Return the truth of that case's problem; None where nothing is proven."""
-        if self.values is None:
-            return None
-        return Truth(study.problem, *self.values, self.source, self.unique_forces, self.free, self.contradicted)
+        return None if self.answer is None else Truth(**vars(self.answer), problem=study.problem)
 
 
 @dataclass(frozen=True)
@@ -346,7 +340,7 @@ class Collector:
         footprint = self._found.get(f"{study.name}/footprint")
         return replace(
             record,
-            contradicted=truth.contradicted,
+            contradicted=truth.answer is not None and truth.answer.contradicted,
             linear_solve=self._limit(study.name),
             footprint=footprint if isinstance(footprint, Footprint) else None,
         )

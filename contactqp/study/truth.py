@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,14 +51,9 @@ class Errors:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """The solution of a problem: stated exactly, given by a user, or proven.
+class TrueAnswer:
+    """The displacement and the forces that are right, without the problem that they solve."""
 
-    Contact forces are not unique where contacts are redundant; their resultants at the unknowns are, and are compared
-    instead. Displacements are unique up to motions that nothing constrains.
-    """
-
-    problem: ContactProblem
     displacement: Vector  # (n,)
     normal_force: Vector  # (m,)
     tie_force: Vector | None  # (k,)
@@ -66,6 +61,17 @@ class Truth:
     unique_forces: bool = True
     free: bool = False  # whether there are free motions
     contradicted: bool = False  # a proven solution differs, so one of the two is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Truth(TrueAnswer):
+    """The solution of a problem: stated exactly, given by a user, or proven.
+
+    Contact forces are not unique where contacts are redundant; their resultants at the unknowns are, and are compared
+    instead. Displacements are unique up to motions that nothing constrains.
+    """
+
+    problem: ContactProblem = field(kw_only=True)
 
     def errors(self, displacement: Vector, normal_force: Vector, tie_force: Vector | None) -> Errors:
         """Return the errors of an answer: displacement (n,), normal_force (m,), tie_force (k,) or None.
@@ -232,7 +238,7 @@ def truth_of_reference(problem: ContactProblem, reference: Reference) -> Truth:
     names = ("displacement", "normal_force", "tie_force")
     vectors = [_vector(name, value, size) for name, value, size in zip(names, values, sizes, strict=False)]
     tie_force = vectors[2] if len(vectors) == 3 else None
-    return Truth(problem, vectors[0], vectors[1], tie_force, source)
+    return Truth(vectors[0], vectors[1], tie_force, source, problem=problem)
 
 
 def _vector(name: str, value: ArrayLike, size: int) -> Vector:

@@ -194,7 +194,7 @@ def problem_with_answers(
     closed = tuple(i for i, force in enumerate(answers[0].normal_force) if force > 0) if answers else ()
     if not answers:
         nothing = np.zeros(problem.dimension), np.zeros(problem.contacts)
-        truth = SweptTruth(problem, *nothing, None, "there is no equilibrium", exists=False)
+        truth = SweptTruth(*nothing, None, "there is no equilibrium", exists=False, problem=problem)
         return AxisProblem(problem, truth, (), closed, constraint_rows, force_rows)
     first, *others = (truth_of_fractions(problem, answer) for answer in answers)
     return AxisProblem(
@@ -205,9 +205,8 @@ def problem_with_answers(
 def truth_of_fractions(problem: ContactProblem, answer: ExactAnswer) -> SweptTruth:
     """Return the nearest doubles of an exact answer as the truth."""
     source = "rational numbers, from the problem's doubles as they stand"
-    return SweptTruth(
-        problem, nearest_doubles(answer.displacement), nearest_doubles(answer.normal_force), np.zeros(0), source
-    )
+    u, force = nearest_doubles(answer.displacement), nearest_doubles(answer.normal_force)
+    return SweptTruth(u, force, np.zeros(0), source, problem=problem)
 
 
 def nearest_doubles(values: Sequence[Fraction]) -> Vector:

@@ -53,7 +53,7 @@ def _constructed(K: sp.csr_array, u: np.ndarray, force: np.ndarray, gap: np.ndar
     problem = ContactProblem(K if len(u) > BLOCK else K.toarray(), K @ u + E.T @ force, E, gap)
     closed = np.flatnonzero(force)
     source = "constructed of numbers of few bits: f = K u* + E'λ* is exact"
-    truth = SweptTruth(problem, u, force, np.zeros(0), source, supported=True)
+    truth = SweptTruth(u, force, np.zeros(0), source, supported=True, problem=problem)
     rows = E[closed].toarray() if len(u) <= EXAMINED else None
     return AxisProblem(problem, truth, (), tuple(int(i) for i in closed), rows, rows)
 
