@@ -474,11 +474,11 @@ def _next_part(passages: Sequence[Passage], closes: Any) -> float | None:
 
 
 def _interpolated(passages: Sequence[Passage], i: int) -> float | None:
-    """Return the part at which the gap of a contact vanishes by interpolation (Chandrupatla 1997), None if its bracket
-    cannot be divided.
+    """Return the part at which a gap vanishes by interpolation (Chandrupatla 1997), None if none is within its bracket.
 
     Parts are a parabola over the gaps of the bracket and of a neighbour where it is monotonic, and else the bracket is
-    halved; between the ends of a step they are a line.
+    halved; between the ends of a step they are a line. SciPy's root finders follow one function, while a passage
+    gives the gaps of all contacts.
     """
     before, after = _bracket(passages, i)
     k = passages.index(before)
