@@ -46,7 +46,12 @@ def page(found: Mapping[str, Sequence[Judged]], same: float | None) -> str:
 
 
 def _section(code: str, results: Sequence[Judged]) -> str:
-    lines = [f"## {code}", "", "| | asked for | says | judged | force off | overlap |", "|---|---|---|---|---|---|"]
+    lines = [
+        f"## {code}",
+        "",
+        "| computed by | asked for | says | judged | force off | overlap |",
+        "|---|---|---|---|---|---|",
+    ]
     for one in results:
         asked = one.attempt.asked.replace("|", "\\|")
         errors = f"{one.force_error:.0e} | {_length(one.overlap)}"

@@ -136,7 +136,7 @@ def _taken(of: Measured) -> Iterator[str]:
         ("nonzeros an unknown", f"{of.nonzeros:.1f}"),
         ("contacts over n^(2/3)", f"{of.contacts:.2f}"),
     )
-    yield "| taken from the measurements | |"
+    yield "| taken from the measurements | value |"
     yield "|:---|---:|"
     for name, value in said:
         yield f"| {name} | {value} |"

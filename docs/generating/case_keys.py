@@ -103,7 +103,7 @@ def _section(block: type[Block], names: set[str]) -> str:
         for key, (annotation, comment) in _fields(block).items()
     ]
     about = about.replace("::\n", ":\n").replace("\n    corners", "\n\n    corners")
-    return f"## {title}\n\n{about}\n\n{table(('key', 'value', 'default', ''), rows)}"
+    return f"## {title}\n\n{about}\n\n{table(('key', 'value', 'default', 'meaning'), rows)}"
 
 
 def _title(name: str) -> str:

@@ -57,7 +57,7 @@ def errata() -> str:
     missing = [entry.id for entry in listed() if entry.id not in by_case]
     counted = f"{len(rows)} places; {len(rows) - len(missing)} of them are held by a case."
     none = f"No case holds {', '.join(missing)}: definitions, references and wording, which no scene has."
-    return "\n\n".join([table(("", "where", "printed", "right, *and why*", "cases"), rows), counted, none])
+    return "\n\n".join([table(("number", "where", "printed", "right, *and why*", "cases"), rows), counted, none])
 
 
 def _shown(entry: Erratum, cases: list[str]) -> str:
