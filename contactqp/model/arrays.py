@@ -457,39 +457,3 @@ def refuse_late(what: str) -> None:
     end = _END.get()
     if end is not None and time.perf_counter() > end[0]:
         raise NotConverged(f"{STOPPED} of {stated_limit(None)}, before {what}")
-
-
-# A lever of this part of the contact's other lever is the rounding of the direction of its normal.
-ROUNDED_LEVER = 8 * EPS
-
-
-def without_rounded_levers(stiffness: Any, normal: Any, tangent: Any) -> tuple[Any, Any]:
-    """Return normal and tangential rows (CSR) without entries that are rounding, on unknowns without stiffness.
-
-    The entries of a contact's rows at one unknown are components of one vector, the motion of the contact point. Its
-    direction is rounded: the normal force of a disc, n, has the lever n x R n = 1e-18 R about the middle, where the
-    friction force has R. Nothing but rows resists a rotation without stiffness, and a disc that turns by 1e17 would
-    let its contact open.
-
-    Parameters
-    ----------
-    stiffness : (n, n) array or sparse matrix
-    normal, tangent : (m, n) and ((d-1) m, n) CSR arrays
-    """
-    width, stiff, size = tangent.shape[0] // max(normal.shape[0], 1), stiffness.diagonal() > 0, abs(normal)
-    for k in range(width):
-        size = size.maximum(abs(tangent[k::width]))
-    size = size.multiply(np.where(stiff, 0.0, ROUNDED_LEVER)).tocsr()
-    contacts = np.arange(normal.shape[0]).repeat(width)
-    return _entries_beyond(size, normal), _entries_beyond(size[contacts], tangent)
-
-
-def _entries_beyond(size: Any, rows: Any) -> Any:
-    """Return rows (CSR) without the entries that are smaller than those of `size`."""
-    small = abs(rows) < size
-    if not small.multiply(abs(rows) > 0).nnz:
-        return rows
-    kept = (rows - rows.multiply(small)).tocsr()
-    kept.sort_indices()
-    kept.eliminate_zeros()
-    return kept

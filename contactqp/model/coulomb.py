@@ -1,4 +1,4 @@
-"""The states of contacts under Coulomb's law, their slips, and the rows that resist rigid motions with friction."""
+"""The states of contacts under Coulomb's law, their slips, and rows that resist motions or have rounded levers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from contactqp.model.arrays import Array, Vector
-from contactqp.model.problem import ContactProblem
+from contactqp.model.arrays import EPS, Array, Vector
 
 
 class ContactState(IntEnum):
@@ -82,7 +81,7 @@ def status_names(status: Status) -> NDArray[np.str_]:
 SIDES, SIDES_NEARBY = 32, 7
 
 
-def resisting_rows(problem: ContactProblem, sides: Array | None = None, within: bool = True) -> Any:
+def resisting_rows(problem: Any, sides: Array | None = None, within: bool = True) -> Any:
     """Return the rows E_N, and E_N + mu t'E_T with friction (CSR): no contact resists a motion z with E z <= 0.
 
     t are the two directions of the plane, in space the corners of a polygon around the unit circle; without `within`
@@ -141,9 +140,45 @@ def sides_nearby(slip: Array, finer: int = 0) -> Array:
     return np.asarray(np.arctan2(slip[:, 1], slip[:, 0])[:, None] + apart)
 
 
-def slips(problem: ContactProblem, displacement: Vector) -> Array | None:
+def slips(problem: Any, displacement: Vector) -> Array | None:
     """Return the slips E_T u - slip_origin, (m, d-1) [length]; None without tangential rows."""
     if problem.tangent is None or problem.slip_origin is None:
         return None
     shape = problem.slip_origin.shape
     return np.asarray((problem.tangent @ displacement).reshape(shape) - problem.slip_origin)
+
+
+# A lever of this part of the contact's other lever is the rounding of the direction of its normal.
+ROUNDED_LEVER = 8 * EPS
+
+
+def without_rounded_levers(stiffness: Any, normal: Any, tangent: Any) -> tuple[Any, Any]:
+    """Return normal and tangential rows (CSR) without entries that are rounding, on unknowns without stiffness.
+
+    The entries of a contact's rows at one unknown are components of one vector, the motion of the contact point. Its
+    direction is rounded: the normal force of a disc, n, has the lever n x R n = 1e-18 R about the middle, where the
+    friction force has R. Nothing but rows resists a rotation without stiffness, and a disc that turns by 1e17 would
+    let its contact open.
+
+    Parameters
+    ----------
+    stiffness : (n, n) array or sparse matrix
+    normal, tangent : (m, n) and ((d-1) m, n) CSR arrays
+    """
+    width, stiff, size = tangent.shape[0] // max(normal.shape[0], 1), stiffness.diagonal() > 0, abs(normal)
+    for k in range(width):
+        size = size.maximum(abs(tangent[k::width]))
+    size = size.multiply(np.where(stiff, 0.0, ROUNDED_LEVER)).tocsr()
+    contacts = np.arange(normal.shape[0]).repeat(width)
+    return _entries_beyond(size, normal), _entries_beyond(size[contacts], tangent)
+
+
+def _entries_beyond(size: Any, rows: Any) -> Any:
+    """Return rows (CSR) without the entries that are smaller than those of `size`."""
+    small = abs(rows) < size
+    if not small.multiply(abs(rows) > 0).nnz:
+        return rows
+    kept = (rows - rows.multiply(small)).tocsr()
+    kept.sort_indices()
+    kept.eliminate_zeros()
+    return kept

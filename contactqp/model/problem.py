@@ -28,6 +28,7 @@ from contactqp.model.arguments import read_places
 from contactqp.model.arrays import WORTHWHILE, Array, Indices, Mask, inverse_root, own_floating_point, refuses_misfits
 from contactqp.model.arrays import Vector as Vector
 from contactqp.model.computed import Computed
+from contactqp.model.coulomb import without_rounded_levers
 from contactqp.model.names import NO_UNITS, name_of, read_names, read_units
 from contactqp.model.names import Units as Units
 from contactqp.model.problem_data import (
@@ -44,7 +45,6 @@ from contactqp.model.problem_data import (
     read_stiffness,
     read_vector,
     rows_of_dense,
-    without_rounded_levers,
 )
 from contactqp.model.problem_data import Matrix as Matrix
 from contactqp.model.quadratic_program import QuadraticProgram, given_program, of_program, quadratic_program

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from contactqp.errors import InvalidProblem, shown
 from contactqp.model.arrays import EPS, WORTHWHILE, Array, Vector, on_one_thread, refuse_places_outside
-from contactqp.model.arrays import without_rounded_levers as without_rounded_levers
 from contactqp.model.printed_stiffness import SOFT, clear_of_printing
 
 Matrix = Any  # scipy.sparse matrix or dense (n, n) array: SciPy's sparse types carry no useful annotations
