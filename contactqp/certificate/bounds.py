@@ -25,15 +25,13 @@ v_i = 0 on independent rows B,
 
     |l_i - l_i*| <= |v_i|_K |w - u*|_K + sum over j not in B of |E_j v_i| |l_j - l_j*|.                    (4)
 
-The pair (v, l) is the refined answer on the candidate's own set, or what `admissible_pair` finds. The bound of the
-candidate is its distance to the pair and the pair's own.
+The pair (v, l) is refined on the candidate's own set, or by `admissible_pair`; the candidate's distance to it is added.
 
 Rounding allowance: v - w and the distances are formed from residuals in extended precision. Their refinement contracts
 by a measured factor q; a last step of size s leaves about s q/(1-q), and 1e4 times what that can make in the energy
 norm is added. Where q >= 1/2 on every set, nothing is proven. The uncertainty by gaps or forces of rounding size is
-added, and the rounding of |v_i|_K, as v_i is long where rows are nearly parallel. If bodies float, norms are computed
-with and without rounding of K along rigid motions, and the worse one is used. This is an a-posteriori estimate of
-rounding, not an interval enclosure.
+added, and the rounding of |v_i|_K, as v_i is long where rows are nearly parallel. If bodies float, the worse of the
+norms with and without rounding of K along rigid motions is used. This estimates rounding; it is no interval enclosure.
 """
 
 from __future__ import annotations
@@ -193,6 +191,8 @@ def _in_elastic_parts(problem: ContactProblem) -> Mask:
 def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
     if len(condensation.retained) > LARGEST:
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
+    for saddle in condensation.saddles.values():  # a verdict does not depend on what was refined before
+        saddle.contraction = None
     try:
         pair = admissible_pair(problem, answer, residual, condensation)
     except Undecided as reason:

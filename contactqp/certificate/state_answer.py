@@ -207,6 +207,8 @@ class CondensedBodies:
 
     def __init__(self, problem: ContactProblem, condensation: Condensation) -> None:
         self._problem, self._condensation = problem, condensation
+        for saddle in condensation.saddles.values():  # a verdict does not depend on what was refined before
+            saddle.contraction = None
         self._rows = condensed_frictional_rows(problem, condensation)
         self.width, self.frictional = self._rows.width, self._rows.slides & (self._rows.coefficient > 0)
         self.floats = condensation.rigid.count > 0

@@ -295,3 +295,18 @@ def test_a_verdict_does_not_depend_on_what_was_asked_before(asked: str) -> None:
     found = cq.certify(problem, u, force, tie_force=tie)
     assert found.passed
     assert found.proven
+
+
+def test_a_verdict_does_not_depend_on_what_was_judged_or_solved_before() -> None:
+    """A known contraction would end refinement a sweep earlier, and a row near the tie shows what that leaves."""
+    K = np.array([[26.0, 0.0, 0.0], [0.0, 5.125, -2.109375], [0.0, -2.109375, 5.25]])
+    rows = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.5 - 2.0**-26, 0.5, 1.0]])
+    tie, u = np.array([[-0.5, -0.5, -1.0]]), np.array([0.375, 0.125, -0.375])
+    right, tie_force = np.array([0.0, 0.0, 0.625, 0.0]), np.array([1.0])
+    load = K @ u + rows.T @ right + tie.T @ tie_force
+    problem = cq.ContactProblem(K, load, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    first = cq.certify(problem, u, (1 + 1e-10) * right, tie_force=tie_force)
+    cq.solve(problem)
+    for judged in [first, *(cq.certify(problem, u, (1 + 1e-10) * right, tie_force=tie_force) for _ in range(2))]:
+        assert judged.proven
+        assert judged.force_error == pytest.approx(1e-10, rel=0.1)
