@@ -132,6 +132,7 @@ def test_bounds_hold_against_fractions_and_those_of_a_tenth_would_not() -> None:
                         assert error <= Fraction(float(bound))
                         part = error / Fraction(float(bound)) if bound > 0 else Fraction()
                         parts.setdefault((name, of), []).append(part)
+    assert len(parts) == 4 * 5
     for (name, of), found in parts.items():
         assert len(found) >= (15 if of != "energy" else 5), (name, of)
         many = len(found) if of in ("displacement", "normal_force") else 0

@@ -77,7 +77,9 @@ def test_a_few_trials_find_nothing(kind: str) -> None:
 @pytest.mark.slow
 def test_the_commands_that_read_mutated_files_work_as_they_stand() -> None:
     """A command that is refused anyhow looks at no file; what it says of another one is then nothing."""
-    for file, command in files().asked:
+    asked = files().asked
+    assert asked
+    for file, command in asked:
         code, out, err = _ended(command, b"")
         assert code == 0, (file, err)
         assert out

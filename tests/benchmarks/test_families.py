@@ -102,6 +102,7 @@ def test_a_truth_without_forces_passes_where_the_solution_beside_it_presses_pair
     report = judging.judge("paired_inequalities", 4, ("active-set",))
     assert report.truth_refused == ""
     assert report.spoiled_passed == ()
+    assert report.bounds
     assert [bound for bound in report.bounds if bound.below] == []
 
 

@@ -234,6 +234,7 @@ def test_json_holds_the_same(capsys):
     assert first["normal_force"] == {"tip": 142.5}
     assert first["contact_status"] == {"tip": "closed"}
     assert first["certificate"]["passed"]
+    assert first["expectations"]
     assert all(row["ok"] for row in first["expectations"])
     assert {other["knobs"].get("penalty") for other in others if other["method"] == "penalty"} >= {"1e8 kN/m"}
 

@@ -139,11 +139,12 @@ def _transformed(known: Known, length: float, force: float, d: np.ndarray, r: np
 @pytest.mark.parametrize("what", ["units", "unknowns", "rows"])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_natural_map_is_invariant(what: str, dimension: int, count: int) -> None:
-    rng = np.random.default_rng(5)
+    rng, compared = np.random.default_rng(5), 0
     for _ in range(count):
         known = known_answer(rng, dimension)
         if not known.problem.frictional:
             continue
+        compared += 1
         moved = dataclasses.replace(
             known,
             displacement=known.displacement * (1 + 0.1 * rng.normal(size=known.displacement.shape)),
@@ -158,6 +159,7 @@ def test_the_natural_map_is_invariant(what: str, dimension: int, count: int) -> 
         there = cq.certify(other.problem, **other.answer()).natural_map
         assert here > 1e-4
         assert there == pytest.approx(here, rel=1e-9)
+    assert compared >= count / 2
 
 
 @pytest.mark.slow
