@@ -245,7 +245,7 @@ def _measure(
         law, supported, others, state, bounds = judged
     dependent = _dependent_ties(problem, condensation, bounds) if problem.ties > 1 else ()
     touching = (answer.normal_force > 0) | (found.gap_measure <= WITHIN_ROUNDING)
-    nothing = allowed[1] * found.intrinsic_size
+    nothing, loose = allowed[1] * found.intrinsic_size, not problem.diagonal.all()
     strained = max(found.intrinsic_size, state.energy)
     hidden = bool(rigid.count) and hides_strain(problem, answer.displacement, rigid, strained, bounds.rounding)
     if off := force_bound_fails(bounds, error_tolerance, 0.0):
@@ -258,7 +258,7 @@ def _measure(
         law=law,
         supported=supported,
         bounds=bounds,
-        driven=drive_by_rounding(problem, rigid.motions, touching) if rigid.count and bounds.proven else None,
+        driven=drive_by_rounding(problem, rigid.motions, touching) if loose and bounds.proven else None,
         errors=(
             *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
             *error_failures(bounds, error_tolerance, nothing),

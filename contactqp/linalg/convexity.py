@@ -380,15 +380,18 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     Parameters
     ----------
     problem : ContactProblem, without friction
-    motions : (n, r) array, rigid motions, to rounding
+    motions : (n, r) array, rigid motions, to rounding; with no columns those of single unknowns without stiffness
     held : (m,) mask of the closed contacts
     """
+    stiff, loose = np.flatnonzero(problem.diagonal), np.flatnonzero(problem.diagonal == 0)
+    if not 0 < loose.size * problem.dimension <= MOST_ROWS**2:
+        return None
+    motions = motions if motions.size else np.eye(problem.dimension)[:, loose]
     near = np.flatnonzero(held & np.isfinite(problem.gap))
     rows = sp.csr_array(sp.vstack([problem.normal[near], problem.tie]))
     count, few = rows.shape[0] + motions.shape[1], max(rows.nnz, motions.size) <= MOST_ROWS**2
     if problem.frictional or not (count <= MOST_ROWS and few and problem.load.any()):
         return None
-    stiff, loose = np.flatnonzero(problem.diagonal), np.flatnonzero(problem.diagonal == 0)
     moving = [z for z in _simplest(motions, problem.own_scale) if not any(z[j] for j in stiff)]
     felt = [[_sum_of(rows.data[a:b], z, rows.indices[a:b]) for a, b in pairwise(rows.indptr)] for z in moving]
     signs = [{i: Fraction(-1)} for i in range(len(near))]

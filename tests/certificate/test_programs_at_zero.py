@@ -168,3 +168,18 @@ def test_wrong_forces_of_nearly_parallel_rows_are_refused_where_motions_are_free
 
     assert judged(forces).proven
     assert not judged(forces + np.array([1e-4, -1e-4, 0.0])).passed
+
+
+@pytest.mark.parametrize("blocks", [1, 5])
+def test_costs_that_balance_to_rounding_only_prove_nothing(blocks: int) -> None:
+    """Three tied unknowns have costs of 2.8e-17 together in doubles. Rationals have no answer, whether the program is
+    condensed or, with more than a dozen unknowns, sparse.
+    """
+    costs, rows, n = np.tile([0.1, 0.2, -0.3], blocks), np.kron(np.eye(blocks), [[1, -1, 0], [1, 0, -1]]), 3 * blocks
+    program = cq.ContactProblem.from_qp(np.zeros((n, n)), costs, A=rows, b=np.zeros(2 * blocks))
+    with pytest.raises(cq.NoEquilibrium, match="proven in rational numbers"):
+        cq.exact(program, enclose=False)
+    certificate = cq.solve(program).certificate
+    assert certificate.passed
+    assert not certificate.proven
+    assert "balance but for 5e-17 of them" in certificate.reasons[0]
