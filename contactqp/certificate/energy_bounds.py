@@ -215,8 +215,8 @@ def _from_solution(
     change, missed, (by_residual, by_strain, back) = _missed_forces(problem, answer, held, unique.forces, definite)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
-    works = work_that_meets(problem, solution), AWAY * imposed_work(problem, solution)
-    rounded = max(EPS * min(works), REACH * least * least)
+    away = np.inf if unique.displacement else AWAY * imposed_work(problem, solution)  # along a free motion only
+    rounded = max(EPS * min(work_that_meets(problem, solution), away), REACH * least * least)
     apart = _apart(state, wide, back if state is held and unique.forces else None, response)
     by_strain, untold = by_strain * max(apart, TINY) + _on_open_contacts(held, apart + back), apart + back
     bounded = unique.forces and bool(np.all(np.isfinite(by_residual)) and np.all(np.isfinite(by_strain)))

@@ -183,3 +183,23 @@ def test_costs_that_balance_to_rounding_only_prove_nothing(blocks: int) -> None:
     assert certificate.passed
     assert not certificate.proven
     assert "balance but for 5e-17 of them" in certificate.reasons[0]
+
+
+@pytest.mark.parametrize("row", [[0.3, 0.7, -0.9], [0.1, 0.7, -1.3]])
+def test_a_program_passes_at_bounds_that_carry_the_rounding_of_its_costs(row: list[float]) -> None:
+    """Costs are the force 1.1 of each row to rounding, whose 1e-17 bounds of 0.1 carry: the least energy is -6e-17.
+
+    These bounds hold the unknowns, which do not lie far along a free motion: only its work is not excused.
+    """
+    rows, n = np.kron(np.eye(5), [row]), 15
+    costs, bound = np.tile(np.round(np.multiply(-1.1, row), 6), 5), np.full(n, 0.1)
+    data = dict(P=np.zeros((n, n)), q=costs, G=rows, h=np.zeros(5), lb=-bound, ub=bound)
+    program = cq.ContactProblem.from_qp(**data)
+    solution = cq.solve(program)
+    assert solution.certificate.passed
+    lower, upper = solution.certificate.energy_bounds or (np.inf, -np.inf)
+    assert lower <= (least := float(cq.exact(program).energy)) <= upper
+    assert -1e-16 < least < 0
+    for moved in (1e-7, -1e-7):  # which costs, or penetrates
+        other = solution.displacement + moved * np.eye(n)[2]
+        assert not cq.certify(program, other, solution.normal_force).passed
