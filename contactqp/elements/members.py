@@ -213,6 +213,46 @@ def beam_load(per_length: Any, start: Any, end: Any) -> Numbers:
     return np.array([*force, moment, *force, -moment])
 
 
+def beam_mass(density: Number, area: Number, start: Numbers, end: Numbers, lumped: bool = False) -> Numbers:
+    """Return M = integral of rho A N'N of cubic bending and linear stretching, or its diagonal, lumped.
+
+    The lumped one is the diagonal scaled to the mass (Hinton, Rock and Zienkiewicz 1976): half of it at either end, and
+    rho A L^3 / 78 against rotation. The rotary inertia of the sections, rho I, is left out.
+
+    Parameters
+    ----------
+    density, area : Fraction or float, rho [force time^2 / length^4], A [length^2]
+    start, end : (2,) arrays, the two nodes [length]
+    lumped : bool
+
+    Returns
+    -------
+    (6, 6) array on (u_x, u_y, theta) of start and end. Exact where all data are and L is rational.
+
+    >>> M = beam_mass(420.0, 1.0, np.array([0.0, 0.0]), np.array([1.0, 0.0]))
+    >>> M[0, [0, 3]].tolist(), M[1, [1, 2, 4, 5]].tolist()
+    ([140.0, 70.0], [156.0, 22.0, 54.0, -13.0])
+    """
+    d = np.asarray(end) - np.asarray(start)
+    length = square_root(squared_length(d))
+    m, s = density * area * length, length
+    if lumped:
+        return np.diag([m / 2, m / 2, m * s * s / 78] * 2)
+    local = np.array(
+        [
+            [140, 0, 0, 70, 0, 0],
+            [0, 156, 22 * s, 0, 54, -13 * s],
+            [0, 22 * s, 4 * s * s, 0, 13 * s, -3 * s * s],
+            [70, 0, 0, 140, 0, 0],
+            [0, 54, 13 * s, 0, 156, -22 * s],
+            [0, -13 * s, -3 * s * s, 0, -22 * s, 4 * s * s],
+        ]
+    )
+    rotation = _beam_rotation(d, length)
+    M: Numbers = rotation.T @ (m / 420 * local) @ rotation
+    return M
+
+
 def beam_displacements(start: Numbers, end: Numbers, ends: Numbers, at: Numbers) -> Numbers:
     """Return the (k, 2) displacements along the axis of an unloaded beam, from those of its ends.
 

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.elements.members import weight
 from contactqp.elements.obstacle import ContactRows, Plane, against_plane, against_surface, between_nodes
 from contactqp.elements.scalars import Number, Numbers
 from contactqp.errors import SceneError
@@ -219,8 +218,7 @@ def _weights(scene: SceneData) -> Iterator[tuple[str, Number]]:
         return
     gravity = np.array([scene.value(g) for g in scene.gravity])
     for _, element in scene.elements:
-        for node, mass in element.weights(scene):
-            yield from zip(scene.displacements(node), weight(mass, gravity), strict=True)
+        yield from element.gravity_forces(scene, gravity)
 
 
 def sum_of(loads: Mapping[str | None, Row], factors: Factors) -> Row:

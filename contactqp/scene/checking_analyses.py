@@ -15,7 +15,7 @@ from contactqp.scene.blocks import BLOCKS
 from contactqp.scene.blocks.element import Measure
 from contactqp.scene.claims import PARAMETERS, QUANTITIES, Claim
 from contactqp.scene.fields import no_such, refuse_unknown
-from contactqp.scene.schema import Unknowns, end_time, load_names, start_values
+from contactqp.scene.schema import Unknowns, end_time, is_rotation, load_names, start_values
 from contactqp.scene.units import KINDS, Quantity
 from contactqp.solving.methods import Method, methods
 
@@ -102,24 +102,28 @@ def _has_mass(scene: SceneData) -> None:
         if not body.density.si:
             raise SceneError(f"{where}: expected a positive number in a motion, got {body.density}")
     if not scene.bodies and not any(element.has_mass for _, element in scene.elements):
-        raise SceneError("motion: expected a bar, body or point mass that has mass, got none")
+        raise SceneError("motion: expected a bar, beam, body or point mass that has mass, got none")
 
 
 def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
     assert scene.motion is not None
-    for key, kind in (("displacements", "length"), ("velocities", "velocity")):
-        unit = scene.system.label(KINDS[kind].dimension)
+    for key, kinds in (("displacements", ("length", "angle")), ("velocities", ("velocity", "angular velocity"))):
         seen: dict[str, tuple[str, Fraction]] = {}
         for i, item in enumerate(getattr(scene.motion, key)):
             where = f"motion.{key}[{i}]"
             _one_thing(scene, f"{where}.of", item.of, unknowns)
             expected = 1 if item.of in unknowns.names else len(scene.axes)
+            kind = KINDS[kinds[is_rotation(item.of)]]
+            unit = scene.system.label(kind.dimension)
             for name in ("value", "to"):
                 vector = getattr(item, name)
                 if vector is not None and len(vector) != expected:
                     raise SceneError(f"{where}.{name} ({item.of!r}): expected {expected} components, got {len(vector)}")
-            if item.to is not None and item.of not in {bar.name for bar in scene.bars}:
-                raise SceneError(f"{where}.to ({item.of!r}): expected of a bar only, along which it is linear")
+                if other := [component for component in vector or () if component.dimension != kind.dimension]:
+                    told = f'expected {kind.article} such as "{kind.example}", got {other[0]}'
+                    raise SceneError(f"{where}.{name} ({item.of!r}): {told}")
+            if item.to is not None and item.of not in {one.name for one in scene.divided}:
+                raise SceneError(f"{where}.to ({item.of!r}): expected of a bar or beam only, along which it is linear")
             for name, value in start_values(scene, item):
                 before, stated = seen.setdefault(name, (where, value))
                 if stated != value:
@@ -135,7 +139,8 @@ def _one_thing(scene: SceneData, where: str, name: str, unknowns: Unknowns) -> N
     if scene.meshed:
         known = {"body": [body.name for body in scene.bodies]}
     else:
-        known = {"bar": [bar.name for bar in scene.bars], "node": [*scene.every_node], "unknown": [*unknowns.names]}
+        bars, beams = ([one.name for one in members] for members in (scene.bars, scene.beams))
+        known = {"bar": bars, "beam": beams, "node": [*scene.every_node], "unknown": [*unknowns.names]}
     kinds = [kind for kind, names in known.items() if name in names]
     if not kinds:
         raise SceneError(

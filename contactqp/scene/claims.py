@@ -104,7 +104,7 @@ QUANTITIES = {
     "total energy": _of_motions("kinetic and elastic energy", "energy"),
     "impact energy": _of_motions("energy that normal forces have taken since the motion set out", "energy"),
     "energy drift": _of_motions("energy that the scheme has added since the motion set out", "energy"),
-    "velocity": Measure("velocity of an unknown", ("velocity",), at="unknown", motion=True),
+    "velocity": Measure("velocity of an unknown", ("velocity", "angular velocity"), at="unknown", motion=True),
     "total momentum": _of_motions("momentum of all that moves, along an axis", "momentum", along="axis"),
     "momentum": _of_motions("m v of a bar, mass or body along an axis", "momentum", at="moving part", along="axis"),
     "contact impulse": _of_motions("normal forces of a contact times the steps they acted", "momentum", at="contact"),

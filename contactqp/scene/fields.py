@@ -167,7 +167,7 @@ TieValue = Annotated[Quantity, *_quantity("length", "angle")]
 # Roots are allowed, as the time in which a wave crosses an element is one.
 Time = Annotated[Quantity, *_quantity("time", roots=True)]
 PositiveTime = Annotated[Time, _POSITIVE]
-Velocity = Annotated[Quantity, *_quantity("velocity")]
+Velocity = Annotated[Quantity, *_quantity("velocity", "angular velocity")]
 SOME = Field(min_length=1)
 Vector = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
 Forces = Annotated[tuple[PureForce, ...], Field(min_length=2, max_length=3)]
@@ -176,6 +176,7 @@ LineForces = Annotated[
 ]
 Tractions = Annotated[tuple[Pressure, ...], Field(min_length=2, max_length=3)]
 Velocities = Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=3)]
+Displacements = Annotated[tuple[TieValue, ...], Field(min_length=1, max_length=3)]
 Point = Annotated[tuple[Length, ...], Field(min_length=1, max_length=3)]
 
 

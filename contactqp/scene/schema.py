@@ -224,8 +224,8 @@ class _Start(Block):
 
 
 class StartVelocity(_Start):
-    """An initial velocity along the axes, one number for an unknown; for a bar `to` is that of its second node, linear
-    between.
+    """An initial velocity along the axes, one number for an unknown; for a bar or beam `to` is that of its second node,
+    linear between.
     """
 
     value: fields.Velocities
@@ -235,8 +235,8 @@ class StartVelocity(_Start):
 class StartDisplacement(_Start):
     """An initial displacement, with the keys of a velocity."""
 
-    value: fields.Point
-    to: fields.Point | None = None
+    value: fields.Displacements
+    to: fields.Displacements | None = None
 
 
 class Motion(Block):
@@ -464,13 +464,10 @@ def load_names(scene: SceneData) -> Iterator[tuple[str, str | None]]:
 def start_values(scene: SceneData, item: StartVelocity | StartDisplacement) -> Iterator[tuple[str, Fraction]]:
     """Yield every unknown, or ``body.axis``, with an initial value by this entry, in the scene's units."""
     value = [scene.value(component) for component in item.value]
-    bar = next((bar for bar in scene.bars if bar.name == item.of), None)
-    if bar is not None:
+    member = next((one for one in scene.divided if one.name == item.of), None)
+    if member is not None:
         end = value if item.to is None else [scene.value(component) for component in item.to]
-        for i, node in enumerate(bar.chain):
-            part = Fraction(i, bar.divisions)
-            between = [a + part * (b - a) for a, b in zip(value, end, strict=True)]
-            yield from zip(scene.displacements(node), between, strict=True)
+        yield from member.linear(scene, value, end)
     elif scene.meshed or item.of in scene.every_node:
         yield from zip(scene.displacements(item.of), value, strict=True)
     else:

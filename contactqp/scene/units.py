@@ -281,6 +281,7 @@ KINDS = {
         Kind("acceleration", Dimension(0, 1, -2), "9.81 m/s^2"),
         Kind("time", Dimension(0, 0, 1), "2 ms"),
         Kind("velocity", Dimension(0, 1, -1), "3 m/s"),
+        Kind("angular velocity", Dimension(0, 0, -1), "0.1 rad/s"),
         Kind("momentum", Dimension(1, 0, 1), "2 N*s"),
     )
 }

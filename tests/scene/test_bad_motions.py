@@ -85,7 +85,7 @@ WRONG = {
     "a start of nothing": (
         '{ of = "c", value',
         '{ of = "d", value',
-        "motion.velocities[0].of: there is no bar or node or",
+        "motion.velocities[0].of: there is no bar or beam or node or",
     ),
     "a start with too few numbers": ('["1 m/s", "0 m/s"]', '["1 m/s"]', "motion.velocities[0].value ('c'): expected 2"),
     "a length for a velocity": (
@@ -108,7 +108,7 @@ WRONG = {
     "an end of a node": (
         'value = ["1 mm"] }',
         'value = ["1 mm"], to = ["2 mm"] }',
-        "motion.displacements[0].to ('b.x'): expected of a bar only",
+        "motion.displacements[0].to ('b.x'): expected of a bar or beam only",
     ),
     "a name of two things": (
         'name = "rod"',
@@ -184,7 +184,7 @@ def test_a_motion_needs_a_mass(tmp_path, capsys):
     text = ROD.replace('masses = [{ name = "ball", node = "c", mass = "1 kg" }]', "").replace('"7850 kg', '"0 kg')
     spring = 'springs = [{ name = "s", nodes = ["b", "c"], stiffness = "1 N/m" }]\n[motion]'
     file.write_text(text.replace("[motion]", spring))
-    refuse(capsys, str(file), "motion: expected a bar, body or point mass that has mass, got none")
+    refuse(capsys, str(file), "motion: expected a bar, beam, body or point mass that has mass, got none")
 
 
 def test_an_unstable_step_is_refused_with_both_numbers(tmp_path, capsys):

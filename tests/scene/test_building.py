@@ -181,6 +181,45 @@ def test_a_line_load_on_a_beam_has_its_ends_exactly_in_one_element_or_two():
         np.testing.assert_allclose([solution.at(f"c.{name}") for name in ("x", "y", "theta")], expected, rtol=1e-12)
 
 
+def test_a_heavy_divided_beam_is_lifted_off_a_floor_as_far_as_in_closed_form():
+    """Lifted by P at its end, the length a = 2 P / q is off the floor, and the end is q a^4 / (24 E I) above it."""
+    count = 100
+    beam = {"area": "0.1 m^2", "inertia": "1e-4 m^4", "modulus": "10 GPa", "density": "1000 kg/m^3", "divisions": count}
+    scene = Scene(
+        title="a heavy beam on a floor",
+        units={"length": "mm", "force": "kN"},
+        axes=["x", "z"],
+        gravity=["0 m/s^2", "-10 m/s^2"],
+        nodes=[{"name": "a", "at": ["0 m", "0 m"]}, {"name": "b", "at": ["10 m", "0 m"]}],
+        beams=[{"name": "beam", "nodes": ["a", "b"], **beam}],
+        fixed=["a"],
+        obstacles=[{"name": "floor", "point": ["0 m", "0 m"], "normal": [0, 1]}],
+        contacts=[{"name": f"{i}", "node": f"beam {i}", "obstacle": "floor"} for i in range(1, count)],
+        loads=[{"unknown": "b.z", "value": "2 kN"}],
+    )
+    solution = cq.run(scene)[-1]
+    assert solution.certificate.proven
+    assert solution.at("b.z") == pytest.approx(1000 * 4**4 / (24 * 1e6) * 1e3, rel=1e-4)  # mm
+    assert np.flatnonzero(solution.normal_force > 0)[-1] == 59
+    assert solution.normal_force[-40:].sum() == pytest.approx(2.0, rel=0.05)  # the concentrated force q a / 2
+
+
+def test_a_divided_beam_under_its_weight_has_exact_nodes():
+    """5 q L^4 / (384 E I) in the middle of a beam on two supports, q = rho A g."""
+    beam = {"area": "2 m^2", "inertia": "3 m^4", "modulus": "64 Pa", "density": "5 kg/m^3", "divisions": 4}
+    data = dict(
+        title="a beam",
+        axes=["x", "y"],
+        gravity=["0 m/s^2", "-10 m/s^2"],
+        nodes=[{"name": "a", "at": ["0 m", "0 m"]}, {"name": "b", "at": ["8 m", "0 m"]}],
+        beams=[{"name": "beam", "nodes": ["a", "b"], **beam}],
+        fixed=["a.x", "a.y", "b.y"],
+    )
+    assert cq.run(Scene(**data))[-1].at("beam 2.y") == pytest.approx(-5 * 100 * 8**4 / (384 * 64 * 3), rel=1e-12)
+    with pytest.raises(cq.SceneError, match=r"beams\[0\].divisions \('beam'\): expected no node 'beam 1'.*of the beam"):
+        Scene(**data | {"nodes": [*data["nodes"], {"name": "beam 1", "at": ["1 m", "0 m"]}]})
+
+
 def test_a_line_load_comes_with_its_corner_of_the_path():
     path = {"events": "exact", "corners": [{"snow": "1/2"}, {"snow": 1, "pull": 1}]}
     fixed = ["a", "c", "b.x"]

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.sparse as sp
 
 import contactqp as cq
 from contactqp.scene.building import build
@@ -48,6 +50,32 @@ BLOCK = dict(
     obstacles=[{"name": "plane", "point": ["0 m", "-1 cm"], "normal": [0, 1]}],
     contacts=[{"name": "foot", "side": "block.bottom", "obstacle": "plane"}],
     motion={"duration": "0.06 s", "time_step": "0.2 ms"},
+)
+
+
+# A beam of 6 kg and 2 m on a pin that turns at 3 rad/s.
+TURNING = dict(
+    title="a beam on a pin",
+    axes=["x", "y"],
+    nodes=[{"name": "a", "at": ["0 m", "0 m"]}, {"name": "b", "at": ["1.2 m", "1.6 m"]}],
+    beams=[
+        {
+            "name": "rod",
+            "nodes": ["a", "b"],
+            "area": "3 m^2",
+            "inertia": "1 m^4",
+            "modulus": "1 Pa",
+            "density": "1 kg/m^3",
+            "divisions": 3,
+        }
+    ],
+    fixed=["a.x", "a.y"],
+    motion={
+        "duration": "1 ms",
+        "time_step": "1 ms",
+        "theta": 0.5,
+        "velocities": [{"of": "rod", "value": ["0 m/s", "0 m/s"], "to": ["-4.8 m/s", "3.6 m/s"]}],
+    },
 )
 
 
@@ -400,3 +428,46 @@ def test_the_units_of_the_scene_do_not_matter():
         update={"units": Scene(**BALL | {"units": {"length": "mm", "force": "kN"}}).units}
     )
     np.testing.assert_allclose(cq.run(other).displacements, 1e3 * found.displacements, atol=1e-12)
+
+
+def test_a_beam_that_turns_on_a_pin_has_the_energy_and_momentum_of_a_rigid_rod():
+    """m (2 m)^2 / 3 (3 rad/s)^2 / 2 = 36 J, and m v at the middle, which moves at half of the speed of the end."""
+    claims = [
+        claim("kinetic energy", "36 J", time="0 s"),
+        claim("total momentum", "-14.4 N*s", along="x", time="0 s"),
+        claim("momentum", "10.8 N*s", at="rod", along="y", time="0 s"),
+        claim("velocity", "3 rad/s", at="rod 1.theta", time="0 s"),
+    ]
+    assert all(row.ok for row in rows(TURNING, *claims))
+    lumped = TURNING | {"motion": TURNING["motion"] | {"mass": "lumped"}}
+    assert all(row.ok for row in rows(lumped, *claims[1:]))
+
+
+def test_the_frequency_of_a_divided_cantilever_is_that_of_euler_and_bernoulli():
+    """1.8751041^2 sqrt(E I / (rho A L^4)), from above by a consistent mass."""
+    model = build(Scene(**TURNING))
+    names = model.problem.dof_names
+    free = [model.exact.unknowns.place[name] for name in names]
+    held = [i for i, name in enumerate(names) if name != "a.theta"]
+    K, M = sp.csr_matrix(model.problem.stiffness).toarray(), mass_on_all(model)[free][:, free].toarray()
+    lowest = scipy.linalg.eigh(K[held][:, held], M[held][:, held], eigvals_only=True)[0]
+    assert np.sqrt(lowest) == pytest.approx(1.8751041**2 * np.sqrt(1.0 / (3.0 * 2.0**4)), rel=2e-4)
+
+
+def test_rotations_may_have_starts_in_their_own_units():
+    """Opposite rotations of 0.3 rad at the ends of a beam of 2 m, E I = 1 N m^2, store E I / L (0.6 rad)^2 / 2."""
+    beam = TURNING["beams"][0] | {"divisions": 1}
+    start = {
+        "velocities": [],
+        "displacements": [{"of": f"{end}.theta", "value": [v]} for end, v in (("a", "0.3 rad"), ("b", "-0.3 rad"))],
+    }
+    data = TURNING | {"beams": [beam], "motion": TURNING["motion"] | start}
+    assert all(row.ok for row in rows(data, claim("elastic energy", "0.09 J", time="0 s")))
+    wrong = [{"of": "b.theta", "value": ["1 m"]}], [{"of": "b.x", "value": ["0.1 rad"]}]
+    for displacements in wrong:
+        with pytest.raises(
+            cq.SceneError, match=r"displacements\[0\].value \('b...*expected an? (length|angle) such as"
+        ):
+            Scene(**data | {"motion": data["motion"] | {"displacements": displacements}})
+    with pytest.raises(cq.SceneError, match="expected an angular velocity such as"):
+        Scene(**data | {"motion": data["motion"] | {"velocities": [{"of": "b.theta", "value": ["1 m/s"]}]}})

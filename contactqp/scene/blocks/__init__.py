@@ -17,7 +17,7 @@ from contactqp.elements.scalars import Numbers
 from contactqp.scene import fields
 from contactqp.scene.blocks.bars_and_springs import Bar, Spring
 from contactqp.scene.blocks.beams_and_strings import Beam, String
-from contactqp.scene.blocks.element import Element, Measure
+from contactqp.scene.blocks.element import Divided, Element, Measure
 from contactqp.scene.blocks.matrices import PointMass, StiffnessMatrix
 from contactqp.scene.fields import Block, Name, NodeName
 from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
@@ -91,6 +91,11 @@ class Frame(Block):
     def elements(self) -> tuple[tuple[str, Element], ...]:
         """Return all elements between nodes with their keys such as ``bars[1]``, block by block."""
         return tuple((f"{key}[{i}]", element) for key in BLOCKS for i, element in enumerate(getattr(self, key)))
+
+    @property
+    def divided(self) -> tuple[Divided, ...]:
+        """Return the elements that may have divisions, bars and beams."""
+        return (*self.bars, *self.beams)
 
     def element(self, noun: str, name: str) -> Element:
         """Return the element of a kind, such as "bar", and a name."""

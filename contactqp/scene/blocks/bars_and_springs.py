@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -17,10 +16,11 @@ from contactqp.elements.members import (
     truss_axial_force,
     truss_stiffness,
 )
-from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
+from contactqp.elements.scalars import Numbers
 from contactqp.errors import SceneError
 from contactqp.scene import fields
 from contactqp.scene.blocks.element import (
+    Divided,
     Element,
     Measure,
     NamedMatrix,
@@ -29,8 +29,7 @@ from contactqp.scene.blocks.element import (
     refuse_zero_direction,
     refuse_zero_length,
 )
-from contactqp.scene.fields import Name, TwoNames, refuse_unknown
-from contactqp.scene.units import Quantity
+from contactqp.scene.fields import Name
 
 
 def _bar_force(bar: Bar, answer: NodeAnswer) -> float:
@@ -44,7 +43,7 @@ def _bar_force(bar: Bar, answer: NodeAnswer) -> float:
     return float(truss_axial_force(modulus, area, start, end, displacement))
 
 
-class Bar(Element):
+class Bar(Divided):
     """An axial bar between two nodes, in one, two or three dimensions.
 
     In one dimension, or at large deformations, it may have `divisions`, elements of equal length; the nodes inside are
@@ -61,28 +60,8 @@ class Bar(Element):
         "bar force": Measure("axial force, positive in tension", ("force",), at="bar", read=_bar_force)
     }
 
-    name: Name
-    nodes: TwoNames
-    area: fields.Area
     modulus: fields.Modulus
-    density: fields.Density | None = None
-    divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
     law: Literal["green", "engineering", "logarithmic"] | None = None
-
-    @property
-    def chain(self) -> tuple[Name, ...]:
-        """Return the nodes of the bar from end to end."""
-        return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
-
-    @property
-    def segments(self) -> tuple[tuple[Name, Name], ...]:
-        """Return the pairs of nodes next to each other."""
-        return tuple(pairwise(self.chain))
-
-    @property
-    def has_mass(self) -> bool:
-        """Return whether it has a density above zero."""
-        return bool(self.density and self.density.si)
 
     def stiffnesses(self, scene: NodeScene) -> Iterator[NamedMatrix]:
         """Yield the stiffness of every division."""
@@ -100,22 +79,6 @@ class Bar(Element):
                 start, end = map(scene.point, ends)
                 yield scene.displacements(*ends), bar_mass(density, area, start, end, lumped)
 
-    def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:
-        """Yield half the mass of each division at each of its ends, as for both mass matrices."""
-        if self.density is None:
-            return
-        per_length = scene.value(self.density) * scene.value(self.area)
-        for ends in self.segments:
-            start, end = map(scene.point, ends)
-            half = per_length * square_root(squared_length(end - start)) / 2
-            yield from ((node, half) for node in ends)
-
-    def inner_nodes(self, at: Mapping[str, Sequence[Quantity]]) -> Iterator[tuple[str, tuple[Fraction, ...]]]:
-        """Yield the nodes between its divisions, at equal distances."""
-        start, end = (at[name] for name in self.nodes)
-        for i, name in enumerate(self.chain[1:-1], start=1):
-            yield name, tuple(a.si + (b.si - a.si) * i / self.divisions for a, b in zip(start, end, strict=True))
-
     def check_axes(self, scene: NodeScene, where: str) -> None:
         """Raise SceneError for divisions in a plane or in space, unless displacements are large."""
         if self.divisions > 1 and len(scene.axes) > 1 and not scene.large:
@@ -123,20 +86,6 @@ class Bar(Element):
                 f"{where}.divisions ({self.name!r}): expected 1 in a scene with {len(scene.axes)} axes, where nothing "
                 f"holds the nodes inside of a bar across it, got {self.divisions}"
             )
-
-    def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
-        """Raise SceneError unless its ends are stated nodes, and its inner nodes have names of their own."""
-        for key, name in self.named_nodes():
-            refuse_unknown(f"{where}.{key} ({self.name!r})", name, stated, "node")
-        for name in self.chain[1:-1]:
-            if name in stated:
-                raise SceneError(
-                    f"{where}.divisions ({self.name!r}): expected no node {name!r}, which stands inside of the bar"
-                )
-
-    def check(self, scene: NodeScene, where: str) -> None:
-        """Raise SceneError for zero length."""
-        refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
 
     def check_motion(self, where: str) -> None:
         """Raise SceneError without a density, which may be zero."""

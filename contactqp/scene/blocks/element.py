@@ -9,14 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, Protocol
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
+from pydantic import Field
 
-from contactqp.elements.scalars import Number, Numbers
+from contactqp.elements.members import weight
+from contactqp.elements.scalars import Number, Numbers, square_root, squared_length
 from contactqp.errors import SceneError
 from contactqp.model.arrays import Array
-from contactqp.scene.fields import Block, Name
+from contactqp.scene import fields
+from contactqp.scene.fields import Block, Name, TwoNames, refuse_unknown
 from contactqp.scene.units import Quantity
 
 ROTATION = "theta"
@@ -153,6 +157,11 @@ class Element(Block):
         """Yield nodes and the masses that gravity acts on there, none without mass."""
         yield from ()
 
+    def gravity_forces(self, scene: NodeScene, gravity: Numbers) -> Iterator[tuple[str, Number]]:
+        """Yield the forces of its weight with the names of their unknowns; `gravity` is along the axes."""
+        for node, mass in self.weights(scene):
+            yield from zip(scene.displacements(node), weight(mass, gravity), strict=True)
+
     @property
     def has_mass(self) -> bool:
         """Return whether this element has mass."""
@@ -204,6 +213,72 @@ class Element(Block):
         moved = [[displacement[unknown] for unknown in scene.displacements(node)] for node in nodes]
         path = np.array([scene.point(node) for node in nodes], dtype=float)
         return Line(nodes, path, np.array(moved)) if nodes else None
+
+
+class Divided(Element):
+    """An element along the line between two nodes, in `divisions` of equal length.
+
+    The nodes between its divisions are called after it, ``name 1``, ``name 2``. With a `density` and its `area` it has
+    mass.
+    """
+
+    nodes: TwoNames
+    area: fields.Area
+    density: fields.Density | None = None
+    divisions: Annotated[int, Field(strict=True, ge=1, le=100_000)] = 1
+
+    @property
+    def chain(self) -> tuple[Name, ...]:
+        """Return its nodes from end to end."""
+        return (self.nodes[0], *(f"{self.name} {i}" for i in range(1, self.divisions)), self.nodes[1])
+
+    @property
+    def segments(self) -> tuple[tuple[Name, Name], ...]:
+        """Return the pairs of nodes next to each other."""
+        return tuple(pairwise(self.chain))
+
+    @property
+    def has_mass(self) -> bool:
+        """Return whether it has a density above zero."""
+        return bool(self.density and self.density.si)
+
+    def weights(self, scene: NodeScene) -> Iterator[tuple[str, Number]]:
+        """Yield half the mass of each division at each of its ends, as for both mass matrices."""
+        if self.density is None:
+            return
+        per_length = scene.value(self.density) * scene.value(self.area)
+        for ends in self.segments:
+            start, end = map(scene.point, ends)
+            half = per_length * square_root(squared_length(end - start)) / 2
+            yield from ((node, half) for node in ends)
+
+    def inner_nodes(self, at: Mapping[str, Sequence[Quantity]]) -> Iterator[tuple[str, tuple[Fraction, ...]]]:
+        """Yield the nodes between its divisions, at equal distances."""
+        start, end = (at[name] for name in self.nodes)
+        for i, name in enumerate(self.chain[1:-1], start=1):
+            yield name, tuple(a.si + (b.si - a.si) * i / self.divisions for a, b in zip(start, end, strict=True))
+
+    def check_nodes(self, stated: Mapping[str, Any], where: str) -> None:
+        """Raise SceneError unless its ends are stated nodes, and its inner nodes have names of their own."""
+        for key, name in self.named_nodes():
+            refuse_unknown(f"{where}.{key} ({self.name!r})", name, stated, "node")
+        for name in self.chain[1:-1]:
+            if name in stated:
+                told = f"expected no node {name!r}, which stands inside of the {self.noun}"
+                raise SceneError(f"{where}.divisions ({self.name!r}): {told}")
+
+    def check(self, scene: NodeScene, where: str) -> None:
+        """Raise SceneError for zero length."""
+        refuse_zero_length(scene, self.nodes, f"{where}.nodes ({self.name!r})")
+
+    def linear(
+        self, scene: NodeScene, start: Sequence[Fraction], end: Sequence[Fraction]
+    ) -> Iterator[tuple[str, Fraction]]:
+        """Yield every displacement of its nodes, linear between the values of both ends; of velocities alike."""
+        for i, node in enumerate(self.chain):
+            part = Fraction(i, self.divisions)
+            between = [a + part * (b - a) for a, b in zip(start, end, strict=True)]
+            yield from zip(scene.displacements(node), between, strict=True)
 
 
 def refuse_zero_length(scene: NodeScene, nodes: Sequence[str], where: str) -> None:
