@@ -166,7 +166,8 @@ def impact(
         raise Unsupported(f"{method}: approximate by design; contact springs are the scheme 'penalty'")
     if not entry.friction and problem.frictional:
         raise Unsupported(f"{scheme}: it takes no contacts with friction; take an exact scheme")
-    M = _mass(entry, read_mass(mass, n), problem)
+    stated = read_mass(mass, n)
+    M = _mass(entry, stated, problem)
     body, loads = SchemeData(problem, M, float(time_step)), _loads(problem, load)
     with one_blas_thread(problem), within_time_of(options):
         run = MotionRun(entry.make(body, settings), loads, float(start_time), method, options)
@@ -174,7 +175,7 @@ def impact(
             _refuse_ringing(scheme, problem, M, loads(float(start_time)), u)
         if entry.explicit:
             run.check_critical_step(penalty)
-        run.start(u, v)
+        run.start(u, v, stated)
         return run.lasting(duration)
 
 

@@ -171,3 +171,14 @@ def test_beams_between_point_masses_move_with_the_contact_stabilised_scheme() ->
     assert small.normal_forces.any()
     np.testing.assert_allclose(beam.displacements[:, moves], small.displacements, atol=1e-12)
     np.testing.assert_allclose(beam.normal_forces, small.normal_forces, atol=1e-9)
+
+
+def test_a_start_whose_energy_moves_off_the_contacts_is_told() -> None:
+    """Of two masses the one at the wall has all of the motion: without its mass nothing moves."""
+    problem = cq.ContactProblem(stiffness=[[2.0, -1.0], [-1.0, 1.0]], load=[0.0, 0.0], normal=[[0.0, 1.0]], gap=[9.0])
+    given = dict(displacement=[0.0, 0.0], duration=1.0, time_step=0.1, scheme="modified-mass")
+    lost = cq.impact(problem, [1.0, 2.0], velocity=[0.0, 3.0], **given)
+    assert lost.energies[0].kinetic == 0
+    assert any("start is 0, with the stated mass 9" in note for note in lost.notes), lost.notes
+    kept = cq.impact(problem, [1.0, 2.0], velocity=[1.0, 2.0], **given | {"scheme": "moreau-jean"})
+    assert not any("kinetic energy" in note for note in kept.notes)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.analysis.motion.mass_matrix import critical_step, slowest_frequency, touched
+from contactqp.analysis.motion.mass_matrix import OTHERWISE, critical_step, slowest_frequency, touched
 from contactqp.analysis.motion.motion_history import Motion, MotionHistory, notes_on_motion
 from contactqp.analysis.motion.schemes.scheme import Scheme, State
 from contactqp.analysis.motion.step_contact import StepContact, StepProblem, StepResult
@@ -47,6 +47,8 @@ from contactqp.model.problem_data import refuse_not_positive
 from contactqp.model.solution import Work
 
 FIGURES = ("equilibrium", "penetration", "tension", "complementarity", "cone", "slip_direction", "tie")
+# A start is noted whose kinetic energy changes by more than this part as mass is moved; on a mesh it is an element's.
+CHANGED = 0.1
 
 Block = Array  # one row per step
 
@@ -285,8 +287,17 @@ class MotionRun:
         self._vibrates: tuple[Mask, Vector] | None = None  # bodies and vibration of the last impact
         self._motion = Motion(scheme, [], load, start, method, [0.0], self._work)
 
-    def start(self, u: Vector, v: Vector) -> None:
+    def start(self, u: Vector, v: Vector, mass: Any) -> None:
+        """Set the start; note where the scheme has moved so much of the stated mass that its kinetic energy changes."""
         self._motion.states.append(self._scheme.first(u, v, self._load(self._motion.start)))
+        body = self._scheme.body
+        stated, left = (float(v @ (M @ v)) / 2 for M in (mass, body.mass))
+        if abs(left - stated) > CHANGED * stated:
+            unit = f" {body.problem.units.force} {body.problem.units.length}" if body.problem.units.force else ""
+            self._notes.append(
+                f"the kinetic energy at the start is {left:.6g}{unit}, with the stated mass {stated:.6g}{unit}: "
+                f"{self._scheme.name!r} moves mass off the contacts, and with it what the start gives them; {OTHERWISE}"
+            )
 
     def lasting(self, duration: float) -> MotionHistory:
         """Compute the steps of a duration and return the history from the start."""
