@@ -40,7 +40,7 @@ class ContactQPError(Exception):
 
 
 class InvalidProblem(ContactQPError, ValueError):
-    """The data are no contact problem: wrong shape, NaN, asymmetric or indefinite stiffness, negative friction."""
+    """The data are not a contact problem: wrong shape, NaN, asymmetric or indefinite stiffness, negative friction."""
 
     code = "invalid-problem"
 

@@ -52,8 +52,8 @@ STEADY_RATE = 1e-11
 ZERO_PART = 1e-12
 # Violations above this part exceed rounding of the data; nonexistence requires this of all combinations.
 CLEARLY = 1e-8
-# Rates that leave this part of the load's rate unbalanced are no solution, as those of a singular system with a driven
-# motion.
+# Rates that leave this part of the load's rate unbalanced are not a solution, as those of a singular system with a
+# driven motion.
 UNBALANCED = 1e-4
 # Violations above this part of the largest exceed the rounding of doubles.
 UNSOLVED = 1e-9

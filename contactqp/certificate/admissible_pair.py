@@ -287,7 +287,7 @@ def of_penetration(
             return _by_retreat(problem, condensation, on_set, retreat, closed, abs(left) <= MISSED)
     far = least_closing(rows * condensation.scale, ties * condensation.scale, excess[closed])
     closing = condensation.expand(condensation.scale * far, unloaded)
-    # A gap within the last correction of refinement is no conflict, as that is part of the radius.
+    # A gap within the last correction of refinement is not a conflict, as that is part of the radius.
     refined = bool(np.all(excess <= on_set.nothing[: len(excess)]))
     if refined or np.max(abs(left_by(closing))) <= ROUGHLY:
         return 2 * sum(energy_norm(problem, extend(closing)))

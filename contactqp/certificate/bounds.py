@@ -31,7 +31,7 @@ Rounding allowance: v - w and the distances are formed from residuals in extende
 by a measured factor q; a last step of size s leaves about s q/(1-q), and 1e4 times what that can make in the energy
 norm is added. Where q >= 1/2 on every set, nothing is proven. The uncertainty by gaps or forces of rounding size is
 added, and the rounding of |v_i|_K, as v_i is long where rows are nearly parallel. If bodies float, the worse of the
-norms with and without rounding of K along rigid motions is used. This estimates rounding; it is no interval enclosure.
+norms with and without rounding of K along rigid motions is used. This estimates rounding and does not enclose it.
 """
 
 from __future__ import annotations

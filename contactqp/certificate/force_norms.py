@@ -102,7 +102,8 @@ class ForceNorms:
     def nearby(compliance: ContactOperators, lost_digits: float, status: Status, mu: Vector) -> ForceNorms | None:
         """Return the norms for answers with the same open contacts and, in the plane, the same slip directions.
 
-        In the plane l_T = mu l_N s is no separate force, so that tangential rows of slipping contacts may be dependent.
+        In the plane l_T = mu l_N s is not a separate force, so that tangential rows of slipping contacts may be
+        dependent.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Prove bounds on the distance of an answer with friction from an equilibrium, if it is unique or the only one nearby.
 
-Coulomb's law is no minimisation, but the distance of a candidate to any equilibrium is bounded by its violations of the
-law. Let W be the compliance of all contact rows (W_NN and W_TT its blocks of normal and tangential rows), |v|_K^2 =
+Coulomb's law is not a minimisation, but the distance of a candidate to any equilibrium is bounded by its violations of
+the law. Let W be the compliance of all contact rows (W_NN and W_TT its blocks of normal and tangential rows), |v|_K^2 =
 v'Kv and |d|_W^2 = d'Wd. Of forces l let w be their displacement, K w = f - E'l - A'nu, A w = b, with gaps g_i and slips
 s_i; of an equilibrium u*, l* likewise g* and s*. With d = l - l*, W d is (g - g*, s* - s), and
 

@@ -296,7 +296,7 @@ def certify_local(
     Raises
     ------
     InvalidProblem
-        Wrong shapes, or a tolerance that is no positive number. NaN is no error here: it fails.
+        Wrong shapes, or a tolerance that is not a positive number. NaN is not an error here: it fails.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Compare an answer with friction with the equilibrium of its own combination of open, stick and slip.
 
-A small residual does not imply accurate forces, and Coulomb's law is no minimisation that would bound them. But with
+A small residual does not imply accurate forces, and Coulomb's law is not a minimisation that would bound them. But with
 every contact fixed in the state of the answer, the problem is a linear system (in the plane; in space Newton's method
 updates the slip directions). It is solved from the answer, refined in twice double precision, and its signs are
 checked: nonnegative gaps and forces, friction within its bound, and slip along it. If they hold, it is an equilibrium,

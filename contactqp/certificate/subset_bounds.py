@@ -171,7 +171,7 @@ def bounds_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : of all contacts; those that are no candidates have no force
+    answer : of all contacts; those that are not candidates have no force
     residual : those of the answer
     candidates : (q,) array of int, contacts; more are taken where the solution closes others
     """
@@ -204,7 +204,7 @@ def state_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : of all contacts; those that are no candidates have no force
+    answer : of all contacts; those that are not candidates have no force
     candidates : (q,) array of int, contacts; more are taken where the displacement closes others
     tolerances : two floats, those of `state_verdict`
     """

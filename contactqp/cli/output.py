@@ -117,7 +117,7 @@ LONG, BETWEEN = 2.0, 0.2
 def whereabouts() -> Iterator[Callable[[str], None] | None]:
     """Yield a function that shows the progress in one line of the standard error, which is erased at the end.
 
-    Fast work shows nothing. None is yielded where the standard error is no terminal.
+    Fast work shows nothing. None is yielded where the standard error is not a terminal.
     """
     if not sys.stderr.isatty():
         yield None
@@ -274,7 +274,7 @@ def leave_to_the_first() -> int:
 
 
 def explained(error: Exception) -> str:
-    """Return one line about an exception that is no ContactQPError."""
+    """Return one line about an exception that is not a ContactQPError."""
     lines = str(error).strip().splitlines()
     if type(error).__module__.startswith("petsc4py"):
         reason = lines[-1].partition("] ")[2] or lines[-1]  # the innermost one is last, after its rank

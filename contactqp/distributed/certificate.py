@@ -118,7 +118,7 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, negligi
 
     The motions of a body, at most six, are judged at its home. The home receives the triangular factors R of w_j = z_j
     size_j on each rank, which together have the singular values of the whole w, and the sums for the search for the
-    worst motion. A body whose rigid motion is no combination of known motions counts as supported.
+    worst motion. A body whose rigid motion is not a combination of known motions counts as supported.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, negligi
     outer, size = outer_resultant(problem, answer), outer_forces(problem, answer)
     rounding = untouched(problem) & (size <= negligible)
     outer[rounding] = size[rounding] = 0.0
-    # K z is zero up to rounding of K, whose product with the displacement is no imbalance.
+    # K z is zero up to rounding of K, whose product with the displacement is not an imbalance.
     stray = np.column_stack([abs(problem.product(z)) * u for z in Z.T])
     columns = _BodyColumns(bodies, floating.floats, Z * size[:, None])
     spectra, work, stray = columns.singular_values(), bodies.totals(Z * outer[:, None]), bodies.totals(stray)

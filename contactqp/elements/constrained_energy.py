@@ -99,7 +99,7 @@ class Part(Protocol):
 def read_form(part: str, given: Any) -> dict[str, float]:
     """Check a linear form given by the user and drop its zeros.
 
-    Raises InvalidProblem: it is no mapping from names to finite numbers, or zero.
+    Raises InvalidProblem: it is not a mapping from names to finite numbers, or zero.
     """
     if not isinstance(given, Mapping):
         raise InvalidProblem(

@@ -269,7 +269,7 @@ class ObstacleContact(ReadOnly):
     Raises
     ------
     InvalidProblem
-        As `cq.pair`; or a paraboloid that measures its gap along the axis, which is no distance.
+        As `cq.pair`; or a paraboloid that measures its gap along the axis, which is not a distance.
     """
 
     points: Any

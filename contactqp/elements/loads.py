@@ -231,7 +231,7 @@ class PointLoad(ReadOnly):
 def node_numbers(body: Body | Membrane, nodes: str | int | Sequence[int] | NDArray[Any]) -> Index:
     """Return the nodes of a named set, or with these numbers, each once.
 
-    Raises InvalidProblem: no such set, or numbers that are no integers or out of range.
+    Raises InvalidProblem: no such set, or numbers that are not integers or out of range.
     """
     if isinstance(nodes, str):
         return body.mesh.nodes(nodes)

@@ -350,7 +350,7 @@ def _physical(mesh: Any, tags: Any) -> dict[str, list[Index]]:
     groups: dict[str, list[Index]] = {}
     for i, (block, values) in enumerate(zip(mesh.cells, tags, strict=True)):
         for tag in np.unique(values):
-            if tag:  # 0 is no group
+            if tag:  # 0 is not a group
                 name = names.get((int(tag), int(block.dim)), str(tag))
                 members = groups.setdefault(name, [np.zeros(0, dtype=np.int64) for _ in mesh.cells])
                 members[i] = np.flatnonzero(values == tag)

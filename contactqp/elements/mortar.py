@@ -55,7 +55,7 @@ def pair_mortar(
     Forces and moments balance exactly, also with an initial gap and on curved surfaces, since both tractions of a point
     are on one line along n. A constant pressure is transmitted exactly between meshes that do not match (the patch test
     of Taylor & Papadopoulos 1991 and El-Abbasi & Bathe 2001); to rounding for triangles and parallelograms, and to the
-    error of quadrature for other quadrilaterals, whose shape functions are no polynomials of the position: 1e-12, and
+    error of quadrature for other quadrilaterals, whose shape functions are not polynomials of the position: 1e-12, and
     more only where J in the corners differs by more than a factor of 4.
 
     Parameters
@@ -82,8 +82,8 @@ def pair_mortar(
     ------
     InvalidProblem
         The bodies are axisymmetric; facets are quadratic (their trace is not linear on any split, which the patch test
-        would show); an argument is no Surface; the surfaces share a node, do not face each other or overlap; or master
-        facets lie behind each other.
+        would show); an argument is not a Surface; the surfaces share a node, do not face each other or overlap; or
+        master facets lie behind each other.
     """
     for surface in (slave, master):
         check_surface(surface)

@@ -40,7 +40,7 @@ BLOCK = 20_000
 # Points at a time: some 100 MB.
 INTEGRALS_BLOCK = 200_000
 # Gauss points per direction. Three are exact where both facets are affine images of their reference elements. Elsewhere
-# shape functions are no polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
+# shape functions are not polynomials on the plane: they branch where the facet's Jacobian determinant J, linear in xi,
 # would vanish, and the error falls as b^(2 points), b = (max J - min J) / (max J + min J) (Bernstein 1912: 1 / b is the
 # sum of the half axes of the largest ellipse without the branch point). So many points keep it below 1e-13.
 GAUSS_POINTS = (3, 5, 7, 10, 16, 24, 32)

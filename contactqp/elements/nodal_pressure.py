@@ -189,7 +189,7 @@ def deviation(surface: Surface) -> float:
     Along the line s L t between two corners of a facet the smooth surface leaves it at the slopes k.t, with the kinks
     k = n - n_f of the smooth normal against the facet's: by k.t L s (1 - s) at most, L (|k_i.t| + |k_j.t|) / 8 in the
     middle. On quadratic facets, which have a node there, by k.t L s (1 - s) (1 - 2 s)^2, a quarter of that. Edges of
-    more than 30 degrees are no curvature.
+    more than 30 degrees are not curvature.
     """
     return float(np.max(_bows(surface)[0]))
 

@@ -373,7 +373,8 @@ def pair_node_to_segment(
     Raises
     ------
     InvalidProblem
-        An argument is no Surface, the surfaces share a node, no slave node faces a master facet, or the bodies overlap.
+        An argument is not a Surface, the surfaces share a node, no slave node faces a master facet, or the bodies
+        overlap.
     """
     check_surface(slave)
     check_surface(master)

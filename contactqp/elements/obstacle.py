@@ -145,7 +145,7 @@ class SignedDistance:
     step : float, optional
         h [length]. By default eps^(1/3) = 6.1e-6 of the largest coordinate of the points.
     tolerance : float
-        | |gradient| - 1 | may be this large. A level set that is no distance (x^2 + y^2 - R^2) would scale gaps and
+        | |gradient| - 1 | may be this large. A level set that is not a distance (x^2 + y^2 - R^2) would scale gaps and
         pressures; a kink (a corner, a middle line) has no normal.
 
     Raises

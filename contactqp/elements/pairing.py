@@ -400,7 +400,7 @@ def unknowns_of_surfaces(dimension: int | None, *surfaces: Surface) -> int:
 def count_unknowns(largest: int, dimension: int | None) -> int:
     """Return n: as stated, else one more than the largest number in use.
 
-    Raises InvalidProblem: an index beyond the stated dimension, or a dimension that is no integer.
+    Raises InvalidProblem: an index beyond the stated dimension, or a dimension that is not an integer.
     """
     if dimension is None:
         return largest + 1

@@ -61,7 +61,7 @@ OF_PROGRAMS = ("x", "y", "z", "z_box")
 def answer_of_names(path: Path, problem: ContactProblem, given: Mapping[str, Any]) -> AnswerFile | None:
     """Return the answer to a quadratic program in qpsolvers' names and signs; None where the names are others.
 
-    Raises InvalidProblem: a value is no vector, or has another length than the problem requires.
+    Raises InvalidProblem: a value is not a vector, or has another length than the problem requires.
     """
     if "x" not in given or any(part_called(name) for name in given):
         return None

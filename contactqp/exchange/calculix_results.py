@@ -74,7 +74,7 @@ def read_dat(path: Path) -> tuple[list[NodalField], list[str]]:
     Raises
     ------
     InvalidProblem
-        No such file, no table of CalculiX's in it, a line that is no row of its table, a file that was cut off.
+        No such file, no table of CalculiX's in it, a line that is not a row of its table, a file that was cut off.
     """
     tables: list[_Table] = []
     others: list[str] = []

@@ -50,7 +50,7 @@ def number_table(path: Path, lines: Iterable[str], columns: int, expected: str) 
 def whole_numbers(path: Path, place: str, values: Vector) -> Integers:
     """Return the values as integers from 1 on.
 
-    Raises InvalidProblem: one is no integer, or below 1, or beyond what a float counts exactly.
+    Raises InvalidProblem: one is not an integer, or below 1, or beyond what a float counts exactly.
     """
     bad = np.flatnonzero(~((values == np.floor(values)) & (values >= 1) & (values < EXACT)))
     if bad.size:
@@ -119,7 +119,7 @@ def read_abaqus_matrix(path: Path) -> MatrixFile:
 
     Unknowns with 1e36 on the diagonal, which Abaqus holds fixed, are left out.
 
-    Raises InvalidProblem: no such file, words that are no numbers, a list of entries that is not whole; Unsupported:
+    Raises InvalidProblem: no such file, words that are not numbers, a list of entries that is not whole; Unsupported:
     internal nodes, whose labels are negative.
     """
     ledger = Ledger(str(path))
@@ -235,7 +235,7 @@ def read_sti(path: Path) -> MatrixFile:
 def read_dof(path: Path) -> tuple[str, ...]:
     """Return the names "node.axis" of the unknowns, in the order of rows and columns.
 
-    Raises InvalidProblem: no such file, a line that is no such name, a name twice.
+    Raises InvalidProblem: no such file, a line that is not such a name, or a name twice.
     """
     expected = "CalculiX's list of unknowns, node.axis a line"
     names = [name for line in text_lines(path, expected) if (name := line.strip())]

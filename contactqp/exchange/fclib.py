@@ -75,7 +75,7 @@ def opened(path: Path) -> Iterator[Hdf5File]:
     BackendMissing
         h5py is not installed.
     InvalidProblem
-        No such file, or it is no HDF5.
+        No such file, or it is not HDF5.
     """
     head = read_bytes(path, EXPECTED, max(SIGNATURE_PLACES) + len(SIGNATURE))
     if not is_hdf5(head):

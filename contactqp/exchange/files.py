@@ -157,7 +157,7 @@ def read_bytes(path: Path, expected: str, most: int = -1) -> bytes:
 def read_text(path: Path, expected: str) -> str:
     """Return all of a text file, UTF-8.
 
-    Raises InvalidProblem as `read_bytes`, or bytes that are no text.
+    Raises InvalidProblem as `read_bytes`, or bytes that are not text.
     """
     data = read_bytes(path, expected)
     refuse_utf_16(path, data)

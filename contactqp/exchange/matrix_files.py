@@ -56,7 +56,7 @@ def reader_of(path: Path) -> MatrixReader:
 
 
 def companions() -> frozenset[str]:
-    """Return suffixes of files that are read along with others and are no matrices."""
+    """Return suffixes of files that are read along with others and are not matrices."""
     return frozenset(suffix for reader in READERS for suffix in reader.beside)
 
 

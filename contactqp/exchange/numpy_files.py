@@ -100,7 +100,7 @@ def read_npy(path: Path) -> NDArray[Any]:
 
 
 def names_in_npz(path: Path) -> set[str]:
-    """Return the names of the arrays of an archive; none where the file is no archive or is damaged."""
+    """Return the names of the arrays of an archive; none where the file is not an archive or is damaged."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy") for name in archive.namelist()}

@@ -61,7 +61,7 @@ def read_json_answer(path: Path, problem: ContactProblem) -> AnswerFile:
     Raises
     ------
     InvalidProblem
-        No JSON, no part of an answer in it, a key twice, values that are no numbers, names that are not the problem's.
+        No JSON, no part of an answer in it, a key twice, values that are not numbers, names that are not the problem's.
     """
     data = load_json(path, OBJECT)
     if isinstance(data, list):
@@ -351,7 +351,7 @@ def _by_length(path: Path, size: int, problem: ContactProblem) -> str:
 
 
 def _dense(path: Path, matrix: Any) -> Any:
-    """Return a sparse column as a vector; a sparse matrix of any other shape is no part of an answer."""
+    """Return a sparse column as a vector; a sparse matrix of any other shape is not part of an answer."""
     if not sp.issparse(matrix):
         return matrix
     if min(matrix.shape) > 3:

@@ -50,8 +50,8 @@ NAMES = ("dof_names", "contact_names", "tie_names")
 def read_problem_archive(path: Path) -> tuple[ContactProblem, Ledger]:
     """Return the problem in an archive, and its ledger.
 
-    Raises InvalidProblem: no archive, a part that is missing or there twice, arrays that are no numbers or no problem
-    together; Unsupported: Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
+    Raises InvalidProblem: no archive, a part that is missing or there twice, arrays that are not numbers, or not a
+    problem together; Unsupported: Python objects, complex numbers, sparse forms other than CSR, CSC and COO.
     """
     arrays, ledger = read_npz(path), Ledger(str(path))
     parts: dict[str, Any] = {}

@@ -58,7 +58,7 @@ def problem_of(
 ) -> ContactProblem:
     """Return the contact problem of these parts.
 
-    Raises InvalidProblem: a part is missing, or they are no contact problem together.
+    Raises InvalidProblem: a part is missing, or they are not a contact problem together.
 
     Parameters
     ----------

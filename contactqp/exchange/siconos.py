@@ -179,7 +179,7 @@ TRIPLETS, COLUMNS, ROWS = 1, 2, 3
 def read_matrix(words: Words, name: str, shape: tuple[int, int] | None = None) -> Any:
     """Return the next matrix in CSR form, of this shape if one is given.
 
-    Raises InvalidProblem: the text ends, sizes do not agree, an index is out of range, a value is no finite number;
+    Raises InvalidProblem: the text ends, sizes do not agree, an index is out of range, a value is not a finite number;
     Unsupported: a storage that is none of these.
     """
     storage = words.integer(f"{name}, storage")
@@ -368,7 +368,7 @@ def read_siconos(path: Path, *, as_stored: bool = False) -> ContactProblem | Loc
     Raises
     ------
     InvalidProblem
-        No such file, text that ends early or goes on, a word that is no number, sizes that do not agree, NaN.
+        No such file, text that ends early or goes on, a word that is not a number, sizes that do not agree, NaN.
     Unsupported
         Contacts that resist rolling.
     """

@@ -209,7 +209,7 @@ def read_text_matrix(path: Path) -> MatrixFile:
     Raises
     ------
     InvalidProblem
-        No such file, a word that is no number (where, which), rows of different lengths, nothing at all.
+        No such file, a word that is not a number (where, which), rows of different lengths, nothing at all.
     """
     ledger, values, width, header = Ledger(str(path)), array("d"), 0, None
     for line, words in _rows(path):

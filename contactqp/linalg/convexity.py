@@ -174,7 +174,7 @@ def _refuse_indefinite(problem: ContactProblem, factors: pardiso.Pardiso | None)
 
 
 def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
-    """Raise InvalidProblem if K has negative curvature along z (n,) that is no rounding of its entries."""
+    """Raise InvalidProblem if K has negative curvature along z (n,) that is not rounding of its entries."""
     z = z / np.max(abs(z))
     curvature = extend(z).dot(extended_rows(problem).stiffness @ extend(z))
     if curvature < -CURVED * float(abs(z) @ (problem.stiffness_sizes @ abs(z))):

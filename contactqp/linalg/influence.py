@@ -29,8 +29,8 @@ residual r and of e, the error of Y'f, W and products with them. With V = M^-1 t
 Without friction, if forces are positive and gaps open by more than these bounds, l* satisfies the Karush-Kuhn-Tucker
 conditions and is the solution, as K is positive definite. With friction, if also friction bounds and slip directions
 hold by more than these, l* is an equilibrium, and the only one within the margins of these signs. In space C contains
-both tangential rows of sticking contacts, with |l_T| <= mu l_N for both together; slip, whose direction is no row of B,
-is left to `solve`. Where the least eigenvalue w of W for all contacts and ties suffices, |V| x is not formed without
+both tangential rows of sticking contacts, with |l_T| <= mu l_N for both together; slip, whose direction is not a row of
+B, is left to `solve`. Where the least eigenvalue w of W for all contacts and ties suffices, |V| x is not formed without
 friction: the eigenvalues of W_CC are no smaller, so that no entry of V x exceeds |x|/w.
 
 The influence functions are corrected once. With the relative size q of the correction the remaining error is estimated

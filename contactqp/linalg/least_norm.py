@@ -47,7 +47,7 @@ SINGLE_CHANGES, SINGLE_ENTRIES = 600_000, 4_000_000
 DUAL_CHANGES = 1_500_000  # the budget of a dual active set for all its starts
 # The most contacts that close without halving the largest penetration, as residuals may drive unbounded motions.
 IN_VAIN = 50
-# Contacts that close at last, and changes for each; penetrations of so many residuals of closed ones are no rounding.
+# Contacts that close at last, and changes for each; penetrations of so many residuals of closed ones are not rounding.
 LAST_CLOSINGS, STANDS_OUT = 10, 1e2
 # Rates of forces below this, per unit force on the closing row, count as zero.
 FALLS = 1e-9

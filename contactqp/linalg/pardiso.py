@@ -324,7 +324,7 @@ class EliminationOrder:
         self._place = np.full(unknowns, np.nan)  # rank of each unknown, NaN if unknown
         self._entries = 0.0  # entries per row of the factors that it was found for
         self._of_saddle = False  # whether it was found with rows below the stiffness
-        self.wide = False  # whether the last matrix was no narrow band
+        self.wide = False  # whether the last matrix was not a narrow band
         self.band: Any = None  # the last band (`schur.Band`)
 
     def factorised(self, matrix: Any, unknowns: Indices, kind: int = POSITIVE_DEFINITE) -> Pardiso:

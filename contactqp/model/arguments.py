@@ -253,7 +253,7 @@ def _words(stated: Any) -> str:
 def read_whole(name: str, value: Any) -> Index:
     """Return a copy of whole numbers of any shape.
 
-    Raises InvalidProblem: rows of different lengths, masked arrays, or entries that are no whole numbers.
+    Raises InvalidProblem: rows of different lengths, masked arrays, or entries that are not whole numbers.
     """
     refuse_masked(name, value)
     try:

@@ -91,8 +91,8 @@ def describe_driven(problem: Any, motion: Vector) -> str:
 def describe_faint(problem: Any, unknowns: Indices) -> str:
     """Say in brackets which of the unknowns only rows resist, by entries that may be the rounding of zero; else "".
 
-    The normal force of a round body has such a lever about the middle. It is no rounding if the unknown has a unit that
-    makes its entries that small, so that it counts as it is stated.
+    The normal force of a round body has such a lever about the middle. It is not rounding if the unknown has a unit
+    that makes its entries that small, so that it counts as it is stated.
     """
     loose = unknowns[problem.diagonal[unknowns] == 0]
     across = [] if problem.tangent is None else [problem.tangent]

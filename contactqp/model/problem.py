@@ -221,7 +221,7 @@ class ContactProblem:
         Raises
         ------
         Unsupported
-            Coulomb's friction is no quadratic program.
+            Coulomb's friction is not a quadratic program.
 
         Examples
         --------
@@ -475,7 +475,7 @@ class ContactProblem:
         Raises
         ------
         InvalidProblem
-            `displacement` is no array of n real numbers.
+            `displacement` is not an array of n real numbers.
         """
         if (u := read_array("displacement", displacement)).shape != (self.dimension,):
             raise InvalidProblem(f"displacement: expected shape ({self.dimension},), got {u.shape}")

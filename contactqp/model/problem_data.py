@@ -83,7 +83,7 @@ class ReadOnly:
 def read_array(name: str, value: Any) -> Array:
     """Return a copy of real numbers of any shape, NaN included, as floats; fractions become floats.
 
-    Raises InvalidProblem: rows of different lengths, words, complex numbers, dates, other objects that are no real
+    Raises InvalidProblem: rows of different lengths, words, complex numbers, dates, other objects that are not real
     numbers, masked arrays; `name` stands first in the message.
     """
     refuse_masked(name, value)

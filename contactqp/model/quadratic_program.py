@@ -315,7 +315,7 @@ def answer_of_program(
     y : (k,) array, optional
         Multipliers of the ties; those of fixed bounds at the end may be left out where `z_box` holds them.
     z : (m,) array, optional
-        Multipliers of the contacts that are no bounds, in their order.
+        Multipliers of the contacts that are not bounds, in their order.
     z_box : (n,) array, optional
         Multipliers of the bounds: positive for an upper bound, negative for a lower one. An entry where there is no
         such bound has no place in the answer, and the balance of forces then misses it.

@@ -250,7 +250,7 @@ class LocalCertificate(ReadOnly, Printed):
 
     @cached_property
     def uniqueness(self) -> tuple[str, ...]:
-        """Return findings against uniqueness, with friction; they are no part of the verdict and found when read."""
+        """Return findings against uniqueness, with friction; they are not part of the verdict and found when read."""
         return self._examined[0]
 
     @cached_property

@@ -288,7 +288,7 @@ def assert_contact_solution(
     AssertionError
         The answer is wrong; the message says what, where, and what would be right.
     InvalidProblem
-        The arguments are no answer to this problem: shapes, a missing friction force, an unknown sign.
+        The arguments are not an answer to this problem: shapes, a missing friction force, an unknown sign.
 
     Examples
     --------
@@ -346,7 +346,7 @@ def assert_multipliers(
     AssertionError
         The forces are wrong; the message holds a table of the worst contacts.
     InvalidProblem
-        The arguments are no forces of this problem.
+        The arguments are not forces of this problem.
     ContactQPError
         The problem is not in the gallery, and no right answer was found for comparison.
 

@@ -196,7 +196,7 @@ def draw_history(history: History, file: str | Path, *, title: str = "", time_un
     Raises
     ------
     InvalidProblem
-        The suffix is unknown, the folder does not exist, or `history` is no History.
+        The suffix is unknown, the folder does not exist, or `history` is not a History.
     BackendMissing
         matplotlib is not installed.
 

@@ -82,7 +82,7 @@ def history_fields(history: History) -> HistoryFields:
 
     Every solution of a load path is certified for this, as it is for its events.
 
-    Raises InvalidProblem: `history` is no History, or has no instants.
+    Raises InvalidProblem: `history` is not a History, or has no instants.
     """
     if len(history) == 0:
         raise InvalidProblem("draw_history: expected a history of one instant or more, got none")

@@ -65,7 +65,7 @@ class Scene(SceneData):
         Raises
         ------
         InvalidProblem, SceneError
-            The numbers are no contact problem, or a mesh, a side or a pair of bodies is invalid.
+            The numbers are not a contact problem, or a mesh, a side or a pair of bodies is invalid.
         BackendMissing
             A mesh file that needs meshlane, which is not installed.
         """
@@ -116,8 +116,8 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     Raises
     ------
     SceneError
-        The file cannot be read, is no TOML, or is no scene; the message states file, key, what was expected and what
-        came.
+        The file cannot be read, is not TOML, or is not a scene; the message states file, key, what was expected and
+        what came.
     """
     file, text = Path(path) if str(path) == STANDARD_INPUT else case_path(Path(path)), ""
     try:

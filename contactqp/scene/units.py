@@ -31,7 +31,7 @@ _TOKEN = re.compile(
 
 
 class NotANumber(ValueError):
-    """The text is no number in this grammar."""
+    """The text is not a number in this grammar."""
 
 
 def split_number(text: str, *, roots: bool = False) -> tuple[Fraction, str]:

@@ -254,8 +254,8 @@ def draw(
     Raises
     ------
     InvalidProblem
-        The suffix is unknown, the folder does not exist, the answer is no Solution, History or Solutions, or it is not
-        one of this system or this scene.
+        The suffix is unknown, the folder does not exist, the answer is not a Solution, History or Solutions, or it is
+        not one of this system or this scene.
     Unsupported
         The numbers are so large or so far apart that matplotlib has no axes for them.
     BackendMissing

@@ -172,7 +172,7 @@ def load_studies(
 
     With `brief` the settings are those of `brief_settings`, whatever tolerances and ladders are asked for.
 
-    Raises SceneError, InvalidProblem: a file is no case, or its problem is invalid; the message names the file.
+    Raises SceneError, InvalidProblem: a file is not a case, or its problem is invalid; the message names the file.
 
     Parameters
     ----------

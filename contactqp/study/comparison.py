@@ -416,7 +416,7 @@ def compare(
     Unsupported
         There is no method of that name.
     InvalidProblem
-        Methods are no names; the reference has wrong shapes; a knob is given for a method that is not compared or has
+        Methods are not names; the reference has wrong shapes; a knob is given for a method that is not compared or has
         none; an option that none of the methods takes.
 
     Examples

@@ -182,7 +182,7 @@ def verify(file: str) -> Verified:
     Raises
     ------
     InvalidProblem
-        The file is no receipt, or a file that it names is not there.
+        The file is not a receipt, or a file that it names is not there.
     ContactQPError
         The files cannot be judged any more.
     """
@@ -222,7 +222,7 @@ def _names_units(units: Any) -> bool:
 
 
 def _is_receipt(data: Mapping[str, Any]) -> bool:
-    """Return whether data has all entries of a receipt with their types; raises if it is no mapping."""
+    """Return whether data has all entries of a receipt with their types; raises if it is not a mapping."""
     options, verdict = data["options"], data["verdict"]
     texts = [data[name] for name in ("problem", "candidate", "contactqp", "created")]
     texts += [options["compression"], *data["sha256"], *data["sha256"].values()]

@@ -357,7 +357,7 @@ def _within_spread(one: MethodLine, other: MethodLine) -> bool:
 def read_report(file: str | Path) -> dict[str, Any]:
     """Return the contents of a results.json.
 
-    Raises SceneError: the file cannot be read, or is no report.
+    Raises SceneError: the file cannot be read, or is not a report.
     """
     path = Path(file)
     try:

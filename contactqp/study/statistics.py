@@ -83,7 +83,7 @@ class RouteTimes:
 def route_times(all_rows: Sequence[Row]) -> tuple[RouteTimes, ...]:
     """Return the run times of every route of the installed methods, in the order of the rows.
 
-    What was tried on all unknowns of some of the cases only is no route over all of them.
+    What was tried on all unknowns of some of the cases only is not a route over all of them.
     """
     cases = compared_cases(all_rows)
     compared = [row for row in all_rows if row.case in cases and row.verdict != rows.MISSING]

@@ -53,7 +53,7 @@ class Balance:
         return any(iteration.shift for iteration in self.iterations)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is no number is stepped back from, or said
+@np.errstate(over="ignore", invalid="ignore")  # what is not a number is stepped back from, or said
 def find_balance(
     loaded: LoadedBody, start: Vector, forces: Forces, target: Target, settings: NewtonSettings
 ) -> Balance:

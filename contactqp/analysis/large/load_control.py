@@ -227,7 +227,7 @@ class LoadControl:
 
     def _is_slack(self, before: LargeSolution) -> bool:
         """Return whether nothing is loaded and some motion has no stiffness, as for a chain, whose large first
-        displacement is no jump.
+        displacement is not a jump.
         """
         if np.any(before.load) or np.any(before.normal_force):
             return False

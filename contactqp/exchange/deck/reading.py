@@ -93,7 +93,7 @@ def read_deck_model(path: Path, columns: int | None = None) -> DeckModel:
             card_readers.read_amplitude(amplitudes, card)
         elif name in _LOADS:
             stated = acting.stated_by(card)
-            if card.lines or not card.has("OP"):  # a card with OP alone is no mistake: it takes loads away
+            if card.lines or not card.has("OP"):  # a card with OP alone is not a mistake: it takes loads away
                 _LOADS[name](model, stated, card, card_readers.factor(amplitudes, card, periods[len(model.steps)]))
         elif name == "STEP":
             acting.begin_step()

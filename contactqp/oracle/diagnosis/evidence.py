@@ -74,7 +74,7 @@ CAUSES = {
     "associated": "the associated relaxation, in which sliding dilates",
     "pyramid": "friction bounded direction by direction",
 }
-# Kinds of findings that are no causes: violations and notes.
+# Kinds of findings that are not causes: violations and notes.
 SYMPTOMS = {
     "not-finite": "NaN or infinity",
     "tension": "a contact pulls",

@@ -174,7 +174,7 @@ class Errors:
 
 
 def _word(off: Errors, noise: float, mesh: Errors, tolerance: float) -> Word:
-    """Return the verdict on a pair; differences between discretisations of the mesh are no error.
+    """Return the verdict on a pair; differences between discretisations of the mesh are not an error.
 
     Errors above twice these are wrong; errors below them are right, if that of the resultant is within the tolerance.
     """

@@ -344,8 +344,8 @@ def read_deck(path: Path) -> Deck:
     Raises
     ------
     InvalidProblem
-        The file is no deck, a keyword or parameter is unknown or not offered, or numbers do not fit; the message names
-        file, line and keyword.
+        The file is not a deck, a keyword or parameter is unknown or not offered, or numbers do not fit; the message
+        names file, line and keyword.
     """
     return Deck(read_deck_model(path))
 

@@ -211,7 +211,7 @@ class Topology:
         Raises
         ------
         InvalidProblem
-            An element does not exist, is no solid, or lacks this face.
+            An element does not exist, is not a solid, or lacks this face.
         """
         self.check_elements(faces.elements, place)
         found = []

@@ -45,7 +45,7 @@ NAMES = ("stiffness", "load", "normal", "gap", "tangent", "friction", "slip_orig
 class ExactData:
     """A problem in Fractions; matrices are lists of rows, of zeros and without friction where a contact never presses.
 
-    Raises InvalidProblem: a name is unknown, a value is no rational number, or it does not round to the problem's.
+    Raises InvalidProblem: a name is unknown, a value is not a rational number, or it does not round to the problem's.
     """
 
     def __init__(self, problem: ContactProblem, exact: dict[str, Any]) -> None:

@@ -163,7 +163,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 
 
 def _refuse_malformed(address: str) -> None:
-    """Raise where this is no address: a client of it would print to stderr long after it was refused."""
+    """Raise where this is not an address: a client of it would print to stderr long after it was refused."""
     scheme, _, place = address.rpartition("://")
     host, _, port = place.rpartition(":")
     if scheme in SCHEMES and host and port.isdecimal():

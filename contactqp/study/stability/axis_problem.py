@@ -181,7 +181,7 @@ def problem_with_answers(
 ) -> AxisProblem:
     """Return a problem whose equilibria are known in closed form, each of which is checked with no tolerance.
 
-    Raises ArithmeticError: one of the answers is no equilibrium.
+    Raises ArithmeticError: one of the answers is not an equilibrium.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class Axis:
     values: tuple[float, ...]
     pose: Callable[[float], AxisProblem] = field(repr=False)
     about: str = ""  # what is swept, and why
-    labels: tuple[str, ...] = ()  # of the values, where they are no numbers
+    labels: tuple[str, ...] = ()  # of the values, where they are not numbers
     # Where the values are a method's own knob: the names of the methods that are swept, and their knobs.
     knobs: Mapping[str, str] = field(default_factory=dict)
 

@@ -56,8 +56,8 @@ def rows(n: int, *entries: dict[int, float]) -> Matrix:
 def pose_gap_ratio(gap: float) -> AxisProblem:
     """Return two chains of unit springs; their ends travel by 1 + g and by 1 and meet with a force of 1/2.
 
-    u = (1/2, 1 + g, 1, 1/2) gives f = (-g, 1 + g, 0, 0). From g = 2^-53 on 1 + g is no double, and the problem is the
-    one of the rounded load.
+    u = (1/2, 1 + g, 1, 1/2) gives f = (-g, 1 + g, 0, 0). From g = 2^-53 on 1 + g is not a double, and the problem is
+    the one of the rounded load.
     """
     right = chain([1.0, 1.0])[::-1, ::-1]  # held at its far end
     load = [-gap, 1.0 + gap, 0.0, 0.0]
@@ -228,7 +228,8 @@ def pose_stiffness_contrast(contrast: float) -> AxisProblem:
     """Return springs 1, c, 1, c in a row; stops at the far ends of the stiff ones. Forces stay of size 1 whatever c is.
 
     What a stiff spring carries is c times a difference of displacements of size 1/c: their rounding shows c times.
-    The last value is 2^53 - 1: beyond it 1 + c is no double, and K with its rounded entries is no stiffness any more.
+    The last value is 2^53 - 1: beyond it 1 + c is not a double, and K with its rounded entries is no longer a
+    stiffness.
     """
     return problem_with_closed(
         ContactProblem(

@@ -206,7 +206,7 @@ def pose_redundancy(angle: float) -> AxisProblem:
     """Return a node on springs that is pressed into the corner of the normals (0, -1) and (θ, -1).
 
     u = (0, -1) and λ = (3, 5) while θ > 2^-50. Only the angle distinguishes the two forces: f = K u + E'λ = (1 + 5 θ,
-    -13), 5 θ beside 1. From θ = 2^-51 on 1 + 5 θ is no double, and the problem is that of the rounded load.
+    -13), 5 θ beside 1. From θ = 2^-51 on 1 + 5 θ is not a double, and the problem is that of the rounded load.
     """
     problem = ContactProblem(
         [[4.0, -1.0], [-1.0, 5.0]], [1.0 + 5.0 * angle, -13.0], [[0.0, -1.0], [angle, -1.0]], [1.0, 1.0]

@@ -364,7 +364,7 @@ def _prediction_columns(prediction: Prediction) -> dict[str, Any]:
 def certificate_statement(truth: SweptTruth, solution: Solution) -> str:
     """Return the statement by which a passing certificate admits an error above 1e-6; empty where it has none.
 
-    That uniqueness was not examined, or that other answers are not excluded, is no such statement.
+    That uniqueness was not examined, or that other answers are not excluded, is not such a statement.
     """
     certificate = solution.certificate
     if SEVERAL in certificate.uniqueness:
