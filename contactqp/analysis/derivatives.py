@@ -93,7 +93,7 @@ def derivative(solution: Solution, of: str, with_respect_to: str, direction: Arr
     Parameters
     ----------
     solution : Solution
-        With friction, of contacts that are condensed.
+        With friction its contacts are condensed.
     of : str
         "displacement" (n,), "normal_force" (m,), "friction_force" (m, d-1), "tie_force" (k,), "gap" (m,), "slip"
         (m, d-1), "reaction" (n,), what contacts and ties take of each unknown's load, f - K u, or "energy", a number.

@@ -170,7 +170,7 @@ class FrictionSharing:
 
         Parameters
         ----------
-        direction : of the data
+        direction : the change of the data
         status : (m,) array of int, the states, in the plane of contacts that begin to slip, too
         """
         begins = {i: np.array([float(status[i])]) for i in self._cones.normal if self._cones.begins(i, status[i])}
@@ -302,7 +302,7 @@ def _on_independent(
     Parameters
     ----------
     system, rates : the system, and its least-squares rates
-    direction, rates_of : what they are along, and what returns the rates of a system
+    direction, rates_of : the direction of the rates, and the function that returns the rates of a system
     """
     try:
         found = rates_of(system.of_independent_rows(), direction)
@@ -406,7 +406,7 @@ def refuse_many(
     Parameters
     ----------
     borders : the contacts at the border of two states
-    system, direction : of the combination, and what the rates are along
+    system, direction : the system of the combination, and the direction of the rates
     rates_of : returns the rates that fit a system best
     """
     problem, zero = borders.problem, Direction.zero(borders.problem)

@@ -63,7 +63,7 @@ class Bounded(tuple[Any, Any]):
         ----------
         rows : each with its bound
         reasons : the reasons of missing bounds, empty if there are bounds
-        shape : of the matrix, which may have no rows
+        shape : the shape of the matrix, which may have no rows
         """
         values, bounds = ([one[k] for one in rows] for k in (0, 1))
         matrix = np.array([np.ravel(one) for one in values]).reshape(shape)

@@ -418,7 +418,7 @@ def signs_hold(
 
     Parameters
     ----------
-    problem, found, direction : of the answer, rates with their bounds, and what they are along
+    problem, found, direction : the problem of the answer, rates with their bounds, and their direction
     sides, margin : as in `contactqp.analysis.rate_systems.RateSystem.where_signs_hold`
     """
     closing, opening = sides

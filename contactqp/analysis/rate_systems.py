@@ -185,7 +185,7 @@ class RateSystem:
 
         Parameters
         ----------
-        direction : that of load, gaps, stiffness and so on
+        direction : the change of load, gaps, stiffness and so on
         push : (m,) array, contact forces of the answer [force]
         known : the answer beyond double precision, if available
         """
@@ -347,7 +347,7 @@ class RateSystem:
         ----------
         solved, data : a solution, and the data in doubles that it is for
         own : (m, d-1) array, of the data, the friction of slips by a change of coefficients or of their origins
-        direction : that of stiffness, rows or coefficients
+        direction : the change of stiffness, rows or coefficients
         known : the answer
         """
         problem, exact, (u, push, *_) = self._problem, self._exact, known.extended

@@ -96,7 +96,7 @@ def violations(
     ----------
     problem : ContactProblem
     answer : Answer
-    residual : those of the answer
+    residual : the residuals of the answer
     rounding : the fraction of the intrinsic size that counts as none
     rigid : the null space of K; none where no body floats
     """
@@ -323,7 +323,7 @@ def energy_norms(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem, with its rigid motions
+    condensation : the Condensation of the problem, with its rigid motions
     displacement : Extended (n,), v
     counted : two floats, optional
         `energy_norm` of v, where it has been formed already.
@@ -349,7 +349,7 @@ def force_norm(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     force : Extended (m,), d, of any sign
     tied : whether the ties hold
     tie_force : Extended (k,), optional
@@ -381,7 +381,7 @@ def response(problem: ContactProblem, condensation: Condensation, load: Extended
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     load : Extended (n,)
     tied : whether the ties hold, at the value zero
     """

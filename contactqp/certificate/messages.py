@@ -59,7 +59,7 @@ def of_part(problem: Named, name: str, values: Array, i: int) -> str:
     problem : ContactProblem or the like, with names
     name : the part: "displacement", "normal_force", "friction_force" or "tie_force"
     values : array, the part, a row an entry
-    i : which entry
+    i : the index of the entry
     """
     called = {"displacement": problem.dof_name, "tie_force": problem.tie_name}.get(name, problem.contact_name)
     part = np.atleast_1d(values[i])
@@ -127,8 +127,8 @@ def of_figure(problem: Named, answer: Any, found: Violations, name: str, i: int,
     problem : ContactProblem or the like, with names and units
     answer : Answer
     found : its figures, entry by entry
-    name : which figure, of `FIGURES`
-    i : which unknown, contact or tie
+    name : the figure, one of `FIGURES`
+    i : the index of the unknown, contact or tie
     tolerance : the largest figure that passes
     """
     force, length = unit_of(problem.units.force), unit_of(problem.units.length)
@@ -161,7 +161,7 @@ def of_law(problem: Named, law: Vector, i: int, limit: float) -> str:
     ----------
     problem : ContactProblem or the like, with names
     law : (m,) array, by how much each contact misses it, relative to the sizes that meet there
-    i : which contact
+    i : the index of the contact
     limit : the largest that passes
     """
     return (
@@ -178,7 +178,7 @@ def of_force_bound(problem: Named, answer: Any, bounds: Bounds, i: int, toleranc
     problem : ContactProblem or the like, with names and units
     answer : Answer
     bounds : with bounds of each force
-    i : which contact
+    i : the index of the contact
     tolerance : the largest relative bound that passes
     """
     if bounds.force_bound is None or bounds.relative_force_bound is None:
@@ -292,7 +292,7 @@ def of_missed_ties(
 
     Parameters
     ----------
-    problem, answer : what is judged
+    problem, answer : the problem, and the answer that is judged
     dependent : as in `of_dependent_ties`
     tolerance : the part of the lengths that meet at a tie which it may miss
     """

@@ -322,7 +322,7 @@ class _Comparison:
         Parameters
         ----------
         refined, status : the refined answer of a combination, and its states
-        distance : of the answer from it
+        distance : the distance of the answer from it
         last : size of the last correction of the refinement
         unsure : by which rounding may change its energy norm
         """

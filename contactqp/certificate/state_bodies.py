@@ -309,7 +309,7 @@ def with_rounding_of_motions(
     ----------
     problem, condensation : the ContactProblem, whose bodies float, and its Condensation
     compared : what the answer was compared with
-    bounds : those of the answer
+    bounds : the bounds of the answer
     """
     from contactqp.linalg.friction_states import refined_in
 
@@ -390,7 +390,7 @@ def with_friction_held(
     Parameters
     ----------
     problem, answer : ContactProblem, Answer
-    condensation : that of the problem, None where its bodies are not condensed
+    condensation : the Condensation of the problem, None where its bodies are not condensed
     tolerance, nothing : the largest relative error that passes; the error that counts as none [square root of energy]
     reason : why there is no combination to compare with
     """

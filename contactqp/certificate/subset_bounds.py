@@ -171,8 +171,8 @@ def bounds_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : of all contacts; those that are not candidates have no force
-    residual : those of the answer
+    answer : the answer with all contacts; those that are not candidates have no force
+    residual : the residuals of the answer
     candidates : (q,) array of int, contacts; more are taken where the solution closes others
     """
     for _ in range(WIDENINGS):
@@ -204,7 +204,7 @@ def state_among(
     Parameters
     ----------
     problem : ContactProblem
-    answer : of all contacts; those that are not candidates have no force
+    answer : the answer with all contacts; those that are not candidates have no force
     candidates : (q,) array of int, contacts; more are taken where the displacement closes others
     tolerances : two floats, those of `state_verdict`
     """

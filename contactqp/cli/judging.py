@@ -78,14 +78,14 @@ def check_command(
 
     One of the two may be -, standard input: a case file as PROBLEM, JSON as CANDIDATE.
 
-    Printed are the figures of the certificate and its error bounds, or why there are none; of a wrong answer also what
-    is wrong, in words, and the worst contacts with the right values beside.
+    It prints the figures of the certificate and its error bounds, or why there are none. For a wrong answer it also
+    says what is wrong, and lists the worst contacts with the right values beside.
 
     A map is a text file: places counted from 0, or CANDIDATE's names in its order, one a line, or CSV
     problem,candidate.
 
-    A receipt can stand beside a report: `contactqp check --verify FILE.json` hashes the files again, whose paths are
-    relative to it, and judges once more; exit 0 if both are as they were, 1 with what differs if not.
+    `contactqp check --verify FILE.json` checks a receipt: it hashes the files, whose paths are relative to the receipt,
+    and judges the answer again; exit 0 if nothing has changed, else 1 with the differences.
     """
     if receipt_to_verify is not None:
         told = (problem, receipt, pressure_areas, dof_map, contact_map, units)
@@ -162,8 +162,8 @@ def crosscheck_command(
     CalculiX with the displacements of all nodes (`*NODE PRINT` or `*NODE FILE`, U); without it the deck is run by ccx,
     or by the command that CONTACTQP_CCX names, and exit 3 says that there is none.
 
-    Printed are the resultant of each pair in the other code and the exact one, what parts the two (springs in the place
-    of contact, nodes that pull, numbers that were cut off, contact that was not found), and the worst nodes.
+    It prints the resultant of each pair in the other code and the exact one, the causes of the difference (springs
+    instead of contact, nodes in tension, truncated numbers, contact that was not detected), and the worst nodes.
     """
     from contactqp.oracle.foreign.crosscheck import crosscheck
 

@@ -100,11 +100,10 @@ def run_command(
     """Solve each CASE (a file, a folder of them, or - for standard input) and compare with what it expects.
 
     A CASE may also be an input deck of Abaqus or CalculiX (.inp), a folder or .npz of matrices, or a problem of
-    frictional contact in a file of FCLIB (HDF5) or Siconos (text): it is solved, and what is said of it is its
-    certificate.
+    frictional contact in a file of FCLIB (HDF5) or Siconos (text): it is solved and certified.
 
-    Without --method: by active-set, and by every method that the case itself says something about. Of one case the
-    answer is printed, and of what it claims how much is met; of several each has a line.
+    Without --method it is solved by active-set, and by every method that the case makes claims about. For one case the
+    answer is printed, and how many of its claims are met; for several cases, one line each.
 
     --plot, --vtu and --csv show the answer by active-set or, with --method, those of all methods named; where there are
     several, the names of case and method are put before the suffix of FILE. A load path or a motion is drawn as

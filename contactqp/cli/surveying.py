@@ -167,8 +167,8 @@ def report_command(
     three sizes. With CASE, a file, a folder or a name, every setting of those; with --full all in the folder cases, or
     all that come with contactqp.
 
-    Answers are found side by side, then timed in turn. What is found streams to DIR; a report that was
-    interrupted goes on from there by the same command.
+    Answers are found side by side, then timed in turn. Results are written to DIR as they are found, and the same
+    command continues a report that was interrupted.
 
     With --stability: sweep stiffness, gaps, friction, units and so on until methods break, and write
     stability.html, stability.csv and stability.json to DIR.

@@ -122,7 +122,7 @@ def balance(problem: DistributedProblem, answer: Answer, bodies: Bodies, negligi
 
     Parameters
     ----------
-    problem, answer : those of all ranks
+    problem, answer : the problem and the answer, distributed over all ranks
     bodies : the bodies, each with its home
     negligible : (n_here,) array [force], up to which forces are rounding: those on unknowns that nothing touches,
         such as F sin(pi), and all that act on a body without load

@@ -59,7 +59,7 @@ class DistributedProblem:
     slip_origin : (m_here, d-1) array, optional
         E_T u at zero slip [length].
     rigid_motions : (n_here, r) array, optional
-        The null space of K if known, each body's motions from the first column on. A body whose rigid motions are no
+        The null space of K if known, each body's motions from the first column on. A body whose rigid motions are not
         combinations of these and `near_null_space` counts as supported.
     units : the units of messages and tables
     dof_name, contact_name, tie_name : functions, return the name for messages of an index on this rank

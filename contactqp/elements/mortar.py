@@ -61,8 +61,8 @@ def pair_mortar(
     Parameters
     ----------
     slave, master : Surface
-        Of linear facets: line2 in 2D; tri3 and quad4, also one against the other, in 3D. Their unknowns are numbered in
-        the same u. The slave should have the finer mesh or be the softer body.
+        Their facets are linear: line2 in 2D; tri3 and quad4, also one against the other, in 3D. Their unknowns are
+        numbered in the same u. The slave should have the finer mesh or be the softer body.
     reach : float, optional
         Parts with a larger gap have no partner [length]. By default each slave facet looks for master facets as far as
         three times the distance from its centre to the nearest master node, plus its diameter.

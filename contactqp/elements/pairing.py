@@ -38,7 +38,7 @@ def doubt_of_depth(depth: float, size: float, called: str, unit: str = "") -> st
     depth : float [length], how deep it starts; negative outside
     size : float [length], that of the body: its longest side, and in axial symmetry its diameter where that is longer
     called : str, the name of the obstacle or body
-    unit : of the length, for the text
+    unit : the unit of length, for the text
     """
     if not depth > DEEP * size > 0:
         return ""
@@ -57,7 +57,7 @@ def doubt_of_side(surface: Surface, gap: Array, normals: Array, called: str, uni
     surface : Surface
     gap : (p,) array, distances of its nodes to the obstacle [length]
     normals : (p, d) array, the obstacle's normals there
-    called : what messages call the obstacle
+    called : the name of the obstacle in messages
     unit : the unit of lengths in messages
     """
     if not len(gap):

@@ -63,7 +63,7 @@ class Body(ReadOnly):
         ``"plane-strain"``, ``"plane-stress"``, ``"axisymmetric"`` (x is the radius, y the axis; all forces and the
         stiffness are those of the full circle, 2 pi r) or ``"3d"``.
     thickness : float
-        Of plane bodies, from 1e-120 to 1e120 [length]. With the default 1 forces are per unit thickness.
+        The thickness of plane bodies, from 1e-120 to 1e120 [length]. With the default 1 forces are per unit thickness.
     name : str
         Used in every message.
 

@@ -313,7 +313,7 @@ class System(ReadOnly):
         friction : float or array with one coefficient for each row of all pairings, optional
             With it the problem has tangential rows, and slip is counted from the prescribed displacements.
         units : Units or mapping, optional
-            As ContactProblem takes them.
+            The same as in `ContactProblem`.
         names : sequence of str, optional
             Names of the rows of all pairings, by default ``contact j`` with the index j among all rows.
 

@@ -51,7 +51,7 @@ class Surface(ReadOnly):
     name : str
         Used in every message.
     thickness : float
-        Of a plane body [length]: forces are for all of it. With 1 they are per unit thickness.
+        The thickness of a plane body [length], to all of which forces refer. With 1 they are per unit thickness.
     revolved : bool
         The surface of an axisymmetric body, about x = 0: forces are those of the full circle.
     unknown_count : int, optional

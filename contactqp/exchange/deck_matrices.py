@@ -70,7 +70,7 @@ def symmetric_matrix(path: Path, row: Integers, column: Integers, value: Vector,
         The file, for messages.
     row, column, value : (e,) arrays, the entries, with indices from 0
     size : the number of unknowns
-    ledger : where it is noted what was read and mirrored
+    ledger : a Ledger, which notes what was read and mirrored
     """
     check_finite(path, "values", value)
     key = row * size + column

@@ -390,7 +390,7 @@ def write_fclib(
     solution : LocalSolution or Solution, optional
         Written under /solution: u, r, and l of joints; in global form v, and nu = -l of ties.
     storage : "csc", "csr" or "triplet", optional
-        Of all matrices; by default rows in local form and triplets in global form, as published files have it.
+        The storage of all matrices; by default rows in local form and triplets in global form, as in published files.
 
     Raises
     ------

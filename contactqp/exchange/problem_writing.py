@@ -65,9 +65,9 @@ def problem_of(
     path
         The file or folder, for messages.
     parts : mapping, matrices and vectors by the names of `SYMBOLS`; one coefficient of friction serves all contacts
-    ledger : where it is noted what was assumed
+    ledger : a Ledger, which notes what was assumed
     dof_names, contact_names, tie_names, units : optional
-        As a ContactProblem takes them.
+        The same as in `ContactProblem`.
     ties : optional
         How many ties are stated.
     """

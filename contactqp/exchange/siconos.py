@@ -128,7 +128,7 @@ def as_integers(words: Words, taken: list[str], what: str, first: int, step: int
     ----------
     words : the file, which errors name
     taken : list of str, the words
-    what : what they are, for messages
+    what : what the numbers are, for messages
     first, step : the k-th of them stands at the place first + k step of the file
     """
     try:

@@ -258,7 +258,7 @@ def unique_forces(condensation: Condensed, saddle: SaddlePoint) -> Mask:
 
     Parameters
     ----------
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     saddle : the factorised system of the closed contacts, whose rows are redundant
     """
     from scipy.linalg import solve_triangular

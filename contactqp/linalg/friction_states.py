@@ -284,12 +284,12 @@ def refined_in(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     rows : FrictionalRows
     status : (m,) array of int, the combination
     start : Answer
     independent : as in `StateSystem`
-    left : those of the start, where they are known
+    left : the residuals of the start, where they are known
     cleared : whether K is cleared of its rounding along rigid motions, where that is not to be decided here
     """
     known: RefinedState | None = problem._computed.of_answer.refined[1]
@@ -468,7 +468,7 @@ def without_noise(problem: ContactProblem, scale: Vector, rows: ScaledRows, answ
     ----------
     problem, rows : ContactProblem, ScaledRows
     scale : (n,) array, the scale of the unknowns
-    answer, start : what refinement came to, and where it began
+    answer, start : the refined answer, and the one where refinement began
     """
     far = float(abs(problem.load * scale).max(initial=0.0))
     for one in (answer, start):

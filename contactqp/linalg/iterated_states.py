@@ -318,7 +318,7 @@ class CombinationSystem:
         x : (n,) array
             The start, on the limits of the constrained rows.
         tolerance : float
-            Of the equilibrium at each unknown, of which EQUILIBRIUM is aimed at.
+            The tolerance of the equilibrium at each unknown, of which the part EQUILIBRIUM is aimed at.
         energy : float
             The error in energy, as a part of the energy norm of x.
         most : int
@@ -346,7 +346,7 @@ class CombinationSystem:
         ----------
         x : (n,) array [length], the displacement
         residual : (n,) array [force], what it leaves out of balance
-        tolerance : that of the certificate: at every unknown a part of it is left at most
+        tolerance : the tolerance of the certificate, a part of which is left at most at every unknown
         energy : the largest error in energy, relative to that of the displacement
         floor : float [energy], the square of an error in energy that is small enough, whatever the displacement
         """

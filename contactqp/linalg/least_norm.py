@@ -61,7 +61,7 @@ def shift_to_least_norm(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     answer : Answer
     closed : (q,) array of int, the contacts that resist
 
@@ -135,7 +135,7 @@ def at_rest(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem; None where it is not to be condensed
+    condensation : the Condensation of the problem; None where it is not to be condensed
     solved : the state, of the equilibrated problem, and its answer in the units of the problem
     pushing : (q,) array of int, the contacts that resist
     unit : (n,) array, the displacements of the problem for one of the equilibrated problem
@@ -324,7 +324,7 @@ def _closing(state: ClosedState, contact: int, changes: Iterator[int], effort: E
     ----------
     state : ClosedState, solved, in which no contact pulls
     contact : int, the one that is to close
-    changes : those that are left
+    changes : the number of changes that are left
     effort : counts factorisations and back-substitutions
     """
     force, closed, answer = np.maximum(state.answer.normal_force.double(), 0.0), state.closed.copy(), state.answer

@@ -196,7 +196,7 @@ class StrictProgram:
         ----------
         start : rows in the order in which they are made active
         tolerance : by how much a row of length one may be violated
-        steps : those that are left
+        steps : the number of steps that are left
         """
         self._begin(np.concatenate([np.flatnonzero(self._tied), start]))
         x, self.force = self._held()

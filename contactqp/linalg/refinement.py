@@ -89,10 +89,10 @@ def answer_on(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     closed : (q,) array of int, B
     start : where refinement begins; free motions stay as they are there
-    residual : those of the start, where they are known; of use where it has no friction, and no force on open contacts
+    residual : the residuals of the start, if known; used if it has no friction and no force on open contacts
     caution : refinement goes on until this many times what it still has to do is negligible
     at_rest : whether, without a start, free motions take the displacement to its least norm within the gaps
     """

@@ -173,7 +173,7 @@ def _moving_bodies(names: Sequence[str], moving: Indices, motion: Vector) -> lis
 
     Parameters
     ----------
-    names : those of all unknowns
+    names : the names of all unknowns
     moving : the unknowns that move
     motion : (n,) array
     """

@@ -282,7 +282,7 @@ class ContactProblem:
 
         Parameters
         ----------
-        stiffness, load, normal, gap, tie, tie_value : those in the other unknowns
+        stiffness, load, normal, gap, tie, tie_value : the data in the other unknowns
         load_size : (n,) array, the sum of sizes behind each entry of the load
         named : bool, whether the rows are still the contacts and keep their names
         """

@@ -219,7 +219,7 @@ def counted(name: str, count: int, what: str, otherwise: str) -> BuildingBlock:
 
     Parameters
     ----------
-    name : what the block is called
+    name : the name of the block
     count : int
     what : what one of them is called; its plural has an s
     otherwise : the reason where there is none

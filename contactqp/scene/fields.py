@@ -46,7 +46,7 @@ def check_own_keys(table: Block, kind: str, required: Sequence[str], optional: S
     Parameters
     ----------
     table : Block
-    kind : what the table is, as in "sphere"
+    kind : the kind of the table, such as "sphere"
     required, optional : sequences of str
         The keys of the kind; those that tables of all kinds have are among the optional ones, first.
     """

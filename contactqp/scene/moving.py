@@ -287,7 +287,7 @@ def momentum(model: Model, history: MotionHistory, velocity: Vector, axis: str, 
     model : NodeModel or BodyModel
     history : MotionHistory
     velocity : (n,) array
-        Of the free unknowns [length / time].
+        The velocities of the free unknowns [length / time].
     axis : str
     part : str, optional
         One bar, point mass or body; by default the whole scene. At nodes that parts share, the mass of all counts.

@@ -279,10 +279,9 @@ def run(
     method : str
         A name of `contactqp.methods()`.
     engine : str
-        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same; what a
-        solution of bodies is asked for is gathered then, so that all ranks have to ask or all of them wait; `method` is
-        "active-set", and load paths are without friction and take steps. Each rank makes its own piece of elastic
-        bodies; what is asked of their solutions is gathered, so that all ranks ask it together.
+        "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same history;
+        `method` is "active-set", and load paths take steps without friction. Each rank makes its own piece of elastic
+        bodies; what a solution of them returns is gathered on access, so that all ranks have to access it together.
     checkpoint : str or Path, optional
         With "petsc", a folder where every step is kept. Steps that are there already are not solved again, whatever
         number of ranks has solved them.

@@ -181,9 +181,9 @@ class FrictionRun(Run):
     problem : ContactProblem
     answer : Answer, what the algorithm found
     name : str, the algorithm, and the convex method where it takes steps of one
-    meter : what has counted the cost so far
+    meter : the counter of the cost so far
     history : tuple of float, the algorithm's own measure of progress, one number an iteration
-    iterations : of the algorithm; without it one more than the history has
+    iterations : the iterations of the algorithm; by default one more than the history has
     exact : bool, whether the algorithm promises Coulomb's answer; the associated relaxation does not
     condensation : Condensation, that of the problem; formed where it is needed if none is given
     """

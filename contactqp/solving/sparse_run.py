@@ -391,7 +391,7 @@ def by_sparse_systems(
     Parameters
     ----------
     problem, method, settings : as in `Run`
-    error : that of the condensed systems
+    error : the error that the condensed systems raised
     """
     found, given = error.solution, None
     if problem.frictional or method.kind not in (QUADRATIC_PROGRAM, MODELLING_LANGUAGE):

@@ -189,7 +189,7 @@ def answer_figure(
     Parameters
     ----------
     scene : SceneData or Deck
-    solution : of the scene's problem
+    solution : a solution of the scene's problem
     title : str
     scale : by how much displacements are magnified
     """

@@ -75,7 +75,7 @@ def check_problem(problem: ContactProblem, ledger: Ledger, candidate_file: str, 
     Parameters
     ----------
     problem : ContactProblem
-    ledger : what was read of the problem's file, which the verdict lists
+    ledger : what was read from the problem's file, which the verdict lists
     candidate_file : the file of the answer
     options : tolerances, sign of compression, areas and maps
     """

@@ -403,7 +403,7 @@ def compare(
         Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
         the contact stiffness (`contactqp.study.settings.contact_stiffness`); the others are run as `solve` runs them.
     **options
-        Of `solve`, each for the methods that take it: ``penalty=1e4``, ``tolerance=1e-6``.
+        Options of `solve`, each for the methods that take it: ``penalty=1e4``, ``tolerance=1e-6``.
 
     Returns
     -------

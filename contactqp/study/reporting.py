@@ -141,8 +141,8 @@ def write_report(
 ) -> ReportResult:
     """Try every method with every value of its knob on every case, and write index.html, results.csv and results.json.
 
-    What is found streams to a file in the folder, ``unfinished_report.jsonl``, which is removed at the end. After an
-    interruption of any kind the same call goes on from there.
+    Results are written as they are found to ``unfinished_report.jsonl`` in the folder, which is removed at the end.
+    After an interruption of any kind the same call continues from there.
 
     Parameters
     ----------

@@ -198,7 +198,7 @@ class LoadedBody:
         now : the configuration, its internal forces and contacts
         K : matrix (n, n), the tangent stiffness, which determines the rounding of internal forces
         load : (n,) array, the load at this instant [force]
-        forces : those of contacts and ties
+        forces : the forces of contacts and ties
         length_error, length_rounding : arrays of any one size
             The errors of gaps, slips and ties, and their rounding [length].
         tolerance : relative to the largest force and the largest displacement
@@ -318,7 +318,7 @@ class LargeHistory(History):
     notes : iterable of str
         Notes on the path, such as jumps of its steps.
     limit_points : iterable of LimitPoint
-        Those of arc length and displacement control.
+        The limit points of paths by arc length and displacement control.
     events : iterable of Event, optional
         The changes of state; without them they are read off the solutions.
     snaps : iterable of Snap

@@ -146,7 +146,7 @@ class PathEquations:
         t : float
             The load factor of the guess.
         forces : Forces
-            Those of contacts and ties in the guess; their curvature enters the first tangent.
+            The forces of contacts and ties in the guess; their curvature enters the first tangent.
         closed : (m,) mask
             The contacts whose gaps are zero.
         control : Control

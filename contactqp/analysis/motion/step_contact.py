@@ -333,7 +333,7 @@ def normal_forces(W: Array, c: Vector, start: Mask, method: str, options: dict[s
     start : (m,) mask
         Contacts that are taken to push at first.
     method, options
-        Of `solve`.
+        Options of `solve`.
     """
     if method == "active-set" and not options and (found := _by_active_set(W, c, start)) is not None:
         return found
@@ -387,7 +387,7 @@ def frictional_forces(
     friction : (m,) array
     start : (m,) array, the states of the step before
     method, options
-        Of `solve`, for the local problem; any but the default is what solves it.
+        The method and options of `solve`; any method but the default solves the local problem.
     like : LocalProblem, optional, one with this W and friction, whose scales serve again
     """
     d = len(c) // len(friction)

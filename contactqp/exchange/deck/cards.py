@@ -69,7 +69,7 @@ class Card:
     keyword : Keyword
     parameters : dict, names without blanks to values; a parameter without a value has the empty string
     lines : sequence of Line
-    head : where the keyword stands
+    head : the line of the keyword
     columns : how many characters of a number are read
     """
 

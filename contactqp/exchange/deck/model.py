@@ -225,7 +225,7 @@ class Interaction:
     ----------
     name, place : str
     stated : whether there is a *SURFACE BEHAVIOR; HARD is assumed where there is none
-    stiffness : of LINEAR [force / length^3]; None for HARD
+    stiffness : the stiffness of LINEAR [force / length^3]; None for HARD
     friction : float
     stick : the stick slope of *FRICTION [force / length^3], which CalculiX alone reads
     """

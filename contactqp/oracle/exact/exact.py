@@ -81,7 +81,7 @@ def exact(problem: Any, method: str = "active-set", *, enclose: bool | None = No
         (`contactqp.oracle.exact.reconstructed_answer`), and the last resort are rational numbers, up to 700 unknowns
         and contacts.
     **options
-        Of `contactqp.solve`.
+        Options of `contactqp.solve`.
 
     Raises
     ------

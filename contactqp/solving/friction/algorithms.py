@@ -156,7 +156,7 @@ def run_algorithm(
     algorithm : an entry of `ALGORITHMS`
     method : the convex method of its steps, where it takes such
     settings : tolerance and limits
-    start : where it starts
+    start : the answer from which it starts
     accepted : function, says whether an iterate is the answer
     polish : whether Newton's method refines iterates in between
     """
@@ -243,7 +243,7 @@ def run_any(
     ----------
     form : the frictional problem in its contact forces
     settings : tolerance and limits, which all attempts share
-    start : where the first attempt starts
+    start : the answer from which the first attempt starts
     accepted : function, says whether an iterate is the answer
     refuse_none : function, raises where there is no answer; it is asked behind the short attempts
     attempts : how many of `ATTEMPTS` are made

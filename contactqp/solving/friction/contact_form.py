@@ -278,7 +278,7 @@ def solve_on_contacts(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     method : takes the convex steps, where the algorithm has such
     settings : tolerance, limits and options
     algorithm : str or None

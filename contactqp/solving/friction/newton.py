@@ -106,7 +106,7 @@ def refined(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     system : ForceSystem
     lengths : the right-hand sides that belong to the problem's load
     found : the answer in scaled forces, before refinement

@@ -71,7 +71,7 @@ def tresca_on_bodies(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     method : solves the convex problems with given bounds
     settings : tolerance, limits and options
     at_once : whether the combination that the answer without friction suggests is tried first

@@ -55,9 +55,9 @@ def solve_condensed(
     Parameters
     ----------
     problem : ContactProblem
-    condensation : that of the problem
+    condensation : the Condensation of the problem
     settings : limits, and the answer to start from
-    shown : what Lemke's method is shown
+    shown : the problem that Lemke's method is given
     """
     load, inner = condensation.reduce_load(problem.load)
     size = condensation.reduced_size(problem, inner)

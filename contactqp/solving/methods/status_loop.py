@@ -62,8 +62,8 @@ def status_loop(
     settings : limits, and the answer to start from
     enforce : solves the system of one status
     compliance : (m,) array, optional
-        Of tangential springs [length / force], zero by default: what has slipped is not E_T u - o but that less the
-        spring's own stretch.
+        The compliance of tangential springs [length / force], zero by default. The slip is E_T u - o less the spring's
+        own stretch.
     stiffness : two (m,) arrays, optional
         Forces that one unit of normal and of tangential length make [force / length], zero by default. Rounding of
         lengths is seen in the forces by these factors.

@@ -119,8 +119,8 @@ def render(
     notes : sequence of str, limitations of this report, in addition to those of any report
     telling : the chart of the first screen
     examples : the chart after it, of the small cases
-    ranges : those of the stability study beside this report
-    running : what is still running; empty of a finished report
+    ranges : the ranges of the stability study beside this report
+    running : what is still running; empty for a finished report
     opened : name of the case that is open at first; the first one by default
     """
     first, second = items("first", [telling] if telling else []), items("second", [examples] if examples else [])

@@ -341,7 +341,8 @@ def write_stability(
 ) -> tuple[StabilityStudy, tuple[Path, ...], tuple[str, ...]]:
     """Run every method at every value of every axis, and write stability.html, .csv and .json to a folder.
 
-    What is found streams to ``unfinished_stability.jsonl`` there; after an interruption the same call goes on.
+    Results are written as they are found to ``unfinished_stability.jsonl`` there; after an interruption the same call
+    continues.
 
     Raises SceneError: the folder cannot be written; Stopped: the study was interrupted by Ctrl-C or SIGTERM; the
     message says how far it was.
