@@ -82,6 +82,7 @@ from contactqp.certificate.figures import (
     residual_noise,
     rigid_rounding,
 )
+from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import unique_forces
 from contactqp.linalg.dense import saddle_point
@@ -90,7 +91,7 @@ from contactqp.linalg.extended import Extended, Residuals, extend
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import force_size, intrinsic_size, lengths_that_meet, of_rows, own_compliance, parts
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
-from contactqp.model.arrays import EPS, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Indices, Mask, Vector, seconds_of_unfinished
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import BOUNDS, BY_DISPLACEMENT, FIGURES_ALONE, Answer
 
@@ -102,6 +103,7 @@ STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid
 # Why forces that contacts and ties share have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant, and forces that they share have no bound"
 FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
+OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 LARGEST = 8000  # the most condensed unknowns for the dense systems of the bounds
 
 
@@ -172,20 +174,14 @@ def error_bounds(
     """
     if problem.frictional:
         return no_bounds(FRICTION_HAS_NONE)
-    elastic = _in_elastic_parts(problem)
+    stiff = elastic = problem.diagonal > 0
+    if stiff.any() and not stiff.all():  # unknowns of parts with stiffness; contacts and ties join a part
+        elastic = np.isin(part := parts(problem), part[stiff])
     if elastic.any() and not elastic.all():
         apart: Bounds = bounds_apart(problem, answer, elastic, _condensed, by_energy)
         return apart
     found = _condensed(problem, answer, residual, condensation)
     return found if by_energy is None or elastic.all() else by_energy(problem, answer, found, condensation.rigid)
-
-
-def _in_elastic_parts(problem: ContactProblem) -> Mask:
-    """Return whether each unknown belongs to a part with stiffness (n,); parts are joined by contacts and ties."""
-    stiff = problem.diagonal > 0
-    if stiff.all() or not stiff.any():
-        return stiff
-    return np.asarray(np.isin(part := parts(problem), part[stiff]))
 
 
 def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
@@ -195,6 +191,10 @@ def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, con
         saddle.contraction = None
     try:
         pair = admissible_pair(problem, answer, residual, condensation)
+    except NotConverged:
+        if seconds_of_unfinished() is None:
+            raise
+        return no_bounds(OUT_OF_TIME)
     except Undecided as reason:
         return no_bounds(str(reason))
     except Unproven as unproven:

@@ -36,7 +36,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.certificate.balance import imposed_work, work_that_meets
-from contactqp.certificate.bounds import LEAST_PART, REDUNDANT, Bounds, no_bounds, relative_error
+from contactqp.certificate.bounds import LEAST_PART, OUT_OF_TIME, REDUNDANT, Bounds, no_bounds, relative_error
 from contactqp.certificate.figures import energy_norm
 from contactqp.certificate.uniqueness import MOST_BY_MOTIONS, taken_by, unique_on
 from contactqp.errors import NotConverged
@@ -80,7 +80,6 @@ CAUTION = 4.0  # a safety factor on what balances a residual, and on what is fou
 # An answer ran away along a free motion if the work of forces on it is this many times the energy, and that on gaps.
 AWAY = 1e6
 CLOSE_BY = 1e-6  # an answer is accepted if it is this close to a solution up to such a conflict
-OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 NO_SOLUTION = "no solution was found near the answer"
 NOT_APART = "the closed contacts and ties are too near to redundant for a bound of each force"
 NEGATIVE = 1e-9  # with an elastic energy below minus this part of the energy's terms, a stationary point is no minimum

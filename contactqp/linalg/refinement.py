@@ -21,7 +21,7 @@ from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import forces_without_tension
-from contactqp.model.arrays import EPS, INVISIBLE, Array, Indices, Vector, zero_beneath
+from contactqp.model.arrays import EPS, INVISIBLE, Array, Indices, Vector, refuse_late, time_is_up, zero_beneath
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 
@@ -265,7 +265,7 @@ def polish(
     contact replaces another one, which does not count as a correction while it is affordable; then forces without
     tension are chosen if they exist, and contacts with zero force leave the set. A set that holds to rounding of
     doubles is corrected by signs in extended precision, as long as the result also holds. An answer that
-    `without_noise` has rounded is not refined again.
+    `without_noise` has rounded is not refined again. Raises NotConverged: a set would be corrected when the time is up.
 
     Parameters
     ----------
@@ -316,8 +316,10 @@ def polish(
             penetrated = np.union1d(penetrated, reached)
             proposal = np.union1d(np.setdiff1d(closed, tension), penetrated).astype(np.intp)
         seen.add(closed.tobytes())
-        if corrections >= max_corrections + exchanges or proposal.tobytes() in seen:
+        ended = corrections >= max_corrections + exchanges or proposal.tobytes() in seen
+        if ended or (holding is not None and time_is_up()):
             return holding or (answer, corrections, False)
+        refuse_late("a set of closed contacts was corrected", judging=True)
         closed = proposal
         corrections += 1
 

@@ -411,8 +411,8 @@ def _ending(end: tuple[float, float] | None) -> Iterator[None]:
         _END.reset(token)
 
 
-# The time limit of a call that reached it before it had an answer, which is certified now; None otherwise.
-_UNFINISHED: ContextVar[float | None] = ContextVar("the time limit that has cut an answer short", default=None)
+# When an answer that the time limit has cut short has been judged for as long again, and that limit; else None.
+_UNFINISHED: ContextVar[tuple[float, float] | None] = ContextVar("when an unfinished answer is judged", default=None)
 
 
 @contextmanager
@@ -422,7 +422,7 @@ def unfinished() -> Iterator[None]:
     The certificate then spends at most the same time on its bounds, and does not search for the right answer.
     """
     end = _END.get()
-    token = _UNFINISHED.set(None if end is None else end[1])
+    token = _UNFINISHED.set(None if end is None else (time.perf_counter() + end[1], end[1]))
     try:
         yield
     finally:
@@ -431,7 +431,8 @@ def unfinished() -> Iterator[None]:
 
 def seconds_of_unfinished() -> float | None:
     """Return the time limit that was reached before the answer being certified was found, else None."""
-    return _UNFINISHED.get()
+    end = _UNFINISHED.get()
+    return None if end is None else end[1]
 
 
 def seconds_left() -> float | None:
@@ -452,8 +453,11 @@ def stated_limit(seconds: float | None) -> str:
     return f"{seconds if end is None else end[1]:g} s"
 
 
-def refuse_late(what: str) -> None:
-    """Raise NotConverged if the time limit has passed; `what` names the next piece of work."""
-    end = _END.get()
+def refuse_late(what: str, judging: bool = False) -> None:
+    """Raise NotConverged if the time limit has passed; `what` names the next piece of work.
+
+    With `judging` also if an answer that the limit has cut short has been judged for as long again.
+    """
+    end = _END.get() or (_UNFINISHED.get() if judging else None)
     if end is not None and time.perf_counter() > end[0]:
-        raise NotConverged(f"{STOPPED} of {stated_limit(None)}, before {what}")
+        raise NotConverged(f"{STOPPED} of {end[1]:g} s, before {what}")

@@ -29,13 +29,7 @@ from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.iteration import Iteration, iterated, iteration
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import lay_out, longest_stated, row_sizes
-from contactqp.linalg.refinement import (
-    closed_contacts,
-    least_displacement,
-    polish,
-    pushing_contacts,
-    without_noise,
-)
+from contactqp.linalg.refinement import closed_contacts, least_displacement, polish, pushing_contacts, without_noise
 from contactqp.linalg.schur import LARGE
 from contactqp.model.arrays import (
     INVISIBLE,
@@ -316,7 +310,7 @@ class CondensedRun(Run):
         return False, _run_scaled(condensation.reduced_problem(problem, load, inner), method, settings)
 
     def _polished(self) -> Final | None:
-        """Return the refined answer on the candidate's contact set, None if its signs are wrong."""
+        """Return the refined answer on the candidate's contact set, None if its signs are wrong or the time is up."""
         problem, condensation, found = self.problem, self._condensation, self.candidate.answer
         if not all_finite(found):
             return None
@@ -326,7 +320,11 @@ class CondensedRun(Run):
             u[condensation.retained] = found.displacement
         compliance = condensation.delassus.compliance[: problem.contacts]
         closed = closed_contacts(problem, compliance, u, found.normal_force)
-        answer, corrections, holds = polish(problem, condensation, closed, self.method.corrections)
+        try:
+            answer, corrections, holds = polish(problem, condensation, closed, self.method.corrections)
+        except NotConverged as late:
+            self.candidate = replace(self.candidate, claimed=False, status=str(late))
+            return None
         if not holds:
             return None
         answer, free = least_displacement(problem, condensation, answer)

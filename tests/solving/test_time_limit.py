@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import time
@@ -16,7 +17,7 @@ import contactqp as cq
 from contactqp.certificate import certificate, energy_bounds
 from contactqp.certificate.state_answer import OUT_OF_TIME
 from contactqp.errors import BackendFailed
-from contactqp.linalg import condensation, dense, factorization, multigrid, nonnegative, pardiso, schur
+from contactqp.linalg import condensation, dense, factorization, multigrid, nonnegative, pardiso, refinement, schur
 from contactqp.linalg.factorization import factorise
 from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model import arrays
@@ -172,6 +173,42 @@ def test_bounds_of_an_unfinished_answer_take_as_long_again_at_most(
         bounds = energy_bounds.energy_bounds(fresh(problem), answer)
     assert bounds.energy_error is None
     assert energy_bounds.OUT_OF_TIME in str(bounds.reasons)
+
+
+@pytest.fixture
+def slow_systems(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each system of closed contacts that is refined takes a hundred seconds."""
+    solved = refinement.answer_on
+
+    def slowly(*arguments: Any, **options: Any) -> Any:
+        clock.passes(100.0)
+        return solved(*arguments, **options)
+
+    monkeypatch.setattr(refinement, "answer_on", slowly)
+
+
+@pytest.mark.usefixtures("slow_systems")
+@pytest.mark.parametrize(("seconds", "had"), [(10000.0, True), (50.0, False)])
+def test_bounds_by_condensed_systems_of_an_unfinished_answer_do_so_too(seconds: float, had: bool) -> None:
+    """Dense problems of 1500 contacts were judged for 14 s after a limit of one."""
+    problem = fresh(on_paraboloid((3, 3, 2)))
+    answer = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(0))
+    with arrays.within_time(seconds), arrays.unfinished(), arrays.in_any_time():
+        found = certificate.certificate_of(problem, answer)
+    assert (found.energy_error is not None) == had
+    assert had == (energy_bounds.OUT_OF_TIME not in str(found.reasons))
+
+
+@pytest.mark.usefixtures("slow_systems")
+def test_no_set_of_closed_contacts_is_corrected_late() -> None:
+    """What the method had is returned as it came."""
+    K = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(20, 20), format="csr")
+    string = cq.ContactProblem(K, np.full(20, -0.5), -sp.identity(20, format="csr"), np.ones(20))
+    solve = functools.partial(cq.solve, string, "projected-gauss-seidel", max_iter=1)
+    assert solve(time_limit=1e6).work.polish_corrections > 0
+    with pytest.raises(cq.NotConverged, match="of 50 s, before a set of closed contacts was corrected") as caught:
+        solve(time_limit=50.0)
+    assert not caught.value.solution.certificate.passed
 
 
 def test_a_backend_without_a_time_limit_is_asked_all_the_same() -> None:
