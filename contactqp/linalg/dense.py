@@ -34,7 +34,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from contactqp.errors import InvalidProblem
-from contactqp.linalg.runtime import lapack
+from contactqp.linalg.runtime import dense_product, lapack
 from contactqp.model.arrays import EPS, RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
 
@@ -353,7 +353,7 @@ class Delassus:
             refuse_late("the compliances of contacts were formed")
         response = self.solve(self.rows.T)
         few = self.rows.size <= WRITTEN_OUT
-        W = (self.rows if few else sp.csr_array(self.rows)) @ response  # rows have few entries
+        W = self.rows @ response if few else dense_product(sp.csr_array(self.rows), response)
         self.row_scale = 1.0 / np.sqrt(np.maximum(W.diagonal(), TINY))
         self.compliance = np.asarray(1.0 / self.row_scale**2)  # W_ii of every contact and tie [length / force]
         self.W = (W + W.T) / 2 * (self.row_scale[:, None] * self.row_scale)

@@ -103,6 +103,20 @@ def lapack() -> Any:
     return found
 
 
+# From this part of stored entries on, BLAS is faster than loops over them; the rows of bodies have few.
+DENSE_PART = 1 / 8
+
+
+def dense_product(rows: Any, columns: Any) -> Any:
+    """Return rows (m, n), sparse, times columns (n, q), dense, by BLAS where many entries of the rows are stored."""
+    return (rows.toarray() if is_nearly_dense(rows) else rows) @ columns
+
+
+def is_nearly_dense(rows: Any) -> bool:
+    """Return whether a sparse matrix stores so many of its entries that BLAS is faster with all of them."""
+    return bool(rows.nnz >= DENSE_PART * rows.shape[0] * rows.shape[1])
+
+
 def cores() -> int:
     """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from contactqp.errors import NotConverged, Unsupported
 from contactqp.linalg.factorization import null_space, right_singular
 from contactqp.linalg.measures import own_compliance
+from contactqp.linalg.runtime import dense_product
 from contactqp.model.arrays import Array, Indices, Mask, Vector, stated_limit
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
@@ -141,7 +142,8 @@ def complementarity_problem(problem: ContactProblem, reduced: Compliance) -> Com
     """
     E, m = problem.normal, problem.contacts
     own = np.sqrt(own_compliance(problem, E))
-    W, sizes = E @ reduced.response, np.maximum(abs(E) @ abs(reduced.response), np.outer(own, own))
+    W, sizes = dense_product(E, reduced.response), dense_product(abs(E), abs(reduced.response))
+    sizes = np.maximum(sizes, np.outer(own, own))
     W = _without_rounding((W + W.T) / 2, (sizes + sizes.T) / 2)
     lengths = abs(np.where(np.isfinite(problem.gap), problem.gap, 0.0)) + abs(E) @ abs(reduced.free)
     lengths = np.maximum(lengths, own * np.max(np.sqrt(problem.diagonal) * abs(reduced.free), initial=0.0))

@@ -14,6 +14,7 @@ from contactqp.errors import InvalidProblem, NotConverged, shown
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.dense import unknown_scale
 from contactqp.linalg.factorization import fixing_unknowns, null_space
+from contactqp.linalg.runtime import is_nearly_dense
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector
 from contactqp.model.problem import ContactProblem, Matrix
 from contactqp.model.problem_data import read_array
@@ -144,8 +145,13 @@ def contact_stiffness(name: str, key: str, value: Any, contacts: int, *, zero: b
 def springs(problem: ContactProblem, closed: Mask, beta: Vector) -> tuple[Matrix, Vector]:
     """Return K + E' beta E and f + E' beta g over the closed contacts, the two sides of eq. 2.25 of the chapter."""
     E = problem.normal[np.flatnonzero(closed)]
-    spring = E.T @ sp.diags(beta[closed]) @ E
-    K = problem.stiffness + (spring if sp.issparse(problem.stiffness) else spring.toarray())
+    if sp.issparse(problem.stiffness) or not is_nearly_dense(E):
+        spring = E.T @ sp.diags(beta[closed]) @ E
+        spring = spring if sp.issparse(problem.stiffness) else spring.toarray()
+    else:
+        scaled = np.sqrt(beta[closed])[:, None] * E.toarray()
+        spring = scaled.T @ scaled
+    K = problem.stiffness + spring
     return K, problem.load + E.T @ (beta[closed] * problem.gap[closed])
 
 
