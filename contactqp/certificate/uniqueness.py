@@ -23,7 +23,7 @@ from contactqp.certificate.other_answers import MOST_COUNTED, several_answers
 from contactqp.errors import BackendFailed
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.convexity import are_independent, inverse_of_gram
-from contactqp.linalg.delassus import contact_compliance
+from contactqp.linalg.delassus import contact_compliance, unit_rows
 from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import directions, lengths
@@ -188,7 +188,7 @@ def _dependent_contacts(problem: ContactProblem, state: _State, condensation: Co
     rows = np.vstack([condensation.normal[state.closed] * scale + dragged[state.closed], held])
     felt = np.any(rows != 0, axis=1)  # friction along a supported tangent has no effect
     size = np.linalg.norm(rows, axis=1)
-    both = _unit(np.vstack([rows[felt], condensation.tie * scale]))
+    both = unit_rows(np.vstack([rows[felt], condensation.tie * scale]))[0]
     count = int(np.sum(felt))
     if not count or _independent(both):
         return np.zeros(0, dtype=np.intp)
@@ -277,7 +277,7 @@ def _never_dependent(problem: ContactProblem, condensation: Condensation) -> boo
             tangent = condensation.tangent.toarray()
         felt = tangent[np.any(tangent != 0, axis=1)]
         rows = np.vstack([condensation.normal, felt, condensation.tie]) * condensation.scale
-        problem._computed.independent_rows = _independent(_unit(rows))
+        problem._computed.independent_rows = _independent(unit_rows(rows)[0])
     return problem._computed.independent_rows
 
 
@@ -336,11 +336,6 @@ def _contraction(problem: ContactProblem, state: _State, condensation: Condensat
     if not np.all(np.isfinite(pressed)):
         return None  # the ratio of forces and slips overflows
     return float(np.max(abs(np.linalg.eigvals(pressed)), initial=0.0))
-
-
-def _unit(rows: Array) -> Array:
-    length: Vector = np.linalg.norm(rows, axis=1)
-    return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
 
 
 # Rows are independent if the reciprocal condition, estimated to a factor of about ten, exceeds this.

@@ -131,7 +131,7 @@ class ContactCompliance(ContactOperators):
     def free(self, problem: ContactProblem, condensation: Condensation) -> tuple[Vector, Vector]:
         """Return R x (d m,) under a problem's load without contact forces, and the right-hand sides of joints (q,)."""
         load, _ = condensation.reduce_load(problem.load)
-        tie_length = _lengths(condensation.tie * self._unknown_scale)
+        tie_length = unit_rows(condensation.tie * self._unknown_scale)[1]
         value = problem.tie_value / tie_length
         x = self._solve(load * self._unknown_scale)
         wanted = np.concatenate([value, np.zeros(len(self._joints) - len(value))])
@@ -157,7 +157,7 @@ def _made(problem: ContactProblem, condensation: Condensation) -> ContactComplia
     tangent = np.zeros((0, len(scale))) if condensation.tangent is None else condensation.tangent.toarray() * scale
     width = len(tangent) // m if m else 0
     rows = np.concatenate([(condensation.normal * scale)[:, None], tangent.reshape(m, width, -1)], axis=1)
-    tie = _unit(condensation.tie * scale)[0]
+    tie = unit_rows(condensation.tie * scale)[0]
     Z = orthonormal_motions(condensation)
     factor = None
     if len(scale):
@@ -221,11 +221,6 @@ def _regular_inverse(J: Array, ties: int) -> Array | None:
     if np.any(abs(vectors[ties:, ~kept]) > np.sqrt(FLOATING)):
         return None
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
-
-
-def _lengths(rows: Array) -> Array:
-    length = np.linalg.norm(rows, axis=1)
-    return np.where(length > 0, length, 1.0)
 
 
 def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None = None) -> Array:
@@ -359,15 +354,15 @@ class FrictionalRows:
             raise ValueError("frictional rows of a problem without friction")
         self.scale = condensation.scale
         self.S = condensation.schur * (self.scale[:, None] * self.scale)
-        self.normal, self.normal_length = _unit(condensation.normal * self.scale)
+        self.normal, self.normal_length = unit_rows(condensation.normal * self.scale)
         tangent = condensation.tangent.toarray() * self.scale
         self.width = len(tangent) // problem.contacts if problem.contacts else 1
-        of_contacts, length = _unit(tangent.reshape(problem.contacts, -1))
+        of_contacts, length = unit_rows(tangent.reshape(problem.contacts, -1))
         # The root mean square of a contact's rows.
         self.tangent_length = np.where(np.any(of_contacts != 0, axis=1), length / np.sqrt(self.width), 1.0)
         self.tangent = tangent / np.repeat(self.tangent_length, self.width)[:, None]
         self.slides = np.any(of_contacts != 0, axis=1)
-        self.tie, self.tie_length = _unit(condensation.tie * self.scale)
+        self.tie, self.tie_length = unit_rows(condensation.tie * self.scale)
         self.all_rows = np.vstack([self.normal, self.tangent, self.tie])
         self.coefficient = problem.friction * self.tangent_length / self.normal_length
         self.motions = orthonormal_motions(condensation)
@@ -396,6 +391,13 @@ class FrictionalRows:
         return problem.gap / self.normal_length, slip, problem.tie_value / self.tie_length
 
 
+def unit_rows(rows: Array) -> tuple[Array, Vector]:
+    """Return rows scaled to unit length and the original lengths; an empty row is unchanged, with length 1."""
+    length = np.linalg.norm(rows, axis=1)
+    length = np.where(length > 0, length, 1.0)
+    return np.asarray(rows / length[:, None]), length
+
+
 def condensed_frictional_rows(problem: ContactProblem, condensation: Condensation) -> FrictionalRows:
     """Return the scaled rows of a problem, computed once for its coefficients and condensation."""
     cached = problem._computed.frictional_rows
@@ -413,12 +415,6 @@ def _refuse_too_many(problem: ContactProblem, retained: int) -> None:
     if (size := (DENSE_ROWS * count + retained) * retained + count**2) > LITTLE:
         what = f"dense operators of {problem.contacts} contacts with friction and {retained} unknowns at them"
         refuse_more_than_memory(what, size)
-
-
-def _unit(rows: Array) -> tuple[Array, Vector]:
-    """Return rows scaled to unit length and the original lengths; an empty row is unchanged."""
-    length = _lengths(rows)
-    return rows / length[:, None], length
 
 
 @dataclass(frozen=True, eq=False)

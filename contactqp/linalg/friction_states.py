@@ -23,7 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips
+from contactqp.linalg.delassus import NONE_ACROSS, AcrossSlips, FrictionalRows, ReducedStates, across_slips, unit_rows
 from contactqp.linalg.dense import BALANCED, REGULAR
 from contactqp.linalg.extended import (
     Extended,
@@ -35,7 +35,13 @@ from contactqp.linalg.extended import (
     residuals_of,
 )
 from contactqp.linalg.factorization import right_singular
-from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting, independent_rows, made_of_motions
+from contactqp.linalg.floating import (
+    UNRESISTED,
+    imbalance,
+    imbalance_of_acting,
+    independent_rows,
+    made_of_motions,
+)
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
 from contactqp.linalg.runtime import lapack
@@ -164,7 +170,7 @@ class StateSystem:
         added = np.einsum("iw,iwp->ip", across.rows, tangent[across.contacts])
         held, stiffness = rows.all_rows[self._acting], rows.S
         if independent:
-            kept = independent_rows(_of_unit_length(held))
+            kept = independent_rows(unit_rows(held)[0])
             free = _motions_across(rows.motions, np.concatenate([held, added]))
             stiffness = stiffness + free @ free.T
             self.redundant = len(kept) < len(held)
@@ -239,13 +245,8 @@ def _motions_across(motions: Array, held: Array) -> Array:
     """Return combinations of orthonormal motions (p, q) that no constrained row resists."""
     if not motions.shape[1] or not len(held):
         return motions
-    values, rotation = right_singular(_of_unit_length(held) @ motions)
+    values, rotation = right_singular(unit_rows(held)[0] @ motions)
     return np.asarray(motions @ rotation[int(np.sum(values > UNRESISTED)) :].T)
-
-
-def _of_unit_length(rows: Array) -> Array:
-    length = np.linalg.norm(rows, axis=1)
-    return np.asarray(rows / np.where(length > 0, length, 1.0)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
