@@ -43,6 +43,13 @@ def from_fraction(x: Fraction | int) -> fmpq:
     return fmpq(x.numerator, x.denominator)
 
 
+def fractions_of(matrix: fmpq_mat) -> Any:
+    """Return the entries of a matrix, row by row, as an array of Fractions."""
+    array = np.empty(matrix.nrows() * matrix.ncols(), dtype=object)
+    array[:] = [fraction(x) for x in matrix.entries()]
+    return array
+
+
 def fraction(x: fmpq) -> Fraction:
     return Fraction(int(x.p), int(x.q))
 

@@ -20,12 +20,12 @@ from contactqp.errors import (
     SeveralEquilibria,
     Unsupported,
 )
-from contactqp.linalg.rational import NoSolution, Undecided, dot, fraction, is_semidefinite, number, zeros
+from contactqp.linalg.rational import NoSolution, Undecided, dot, fraction, fractions_of, is_semidefinite, number, zeros
 from contactqp.model.names import describe_motion
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FreeMotion, Solution
 from contactqp.oracle.exact.exact_path import follow
-from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution, Fractions
+from contactqp.oracle.exact.exact_solution import ExactEvent, ExactSolution
 from contactqp.oracle.exact.rational_equilibrium import Proposal, Settled, settle, settle_with_friction
 from contactqp.oracle.exact.rational_problem import RationalProblem, status
 from contactqp.solving.solve import solve
@@ -154,12 +154,12 @@ def solution_of(
     ranges[:] = [list(pair) for pair in settled.ranges] if data.contacts else ranges
     return ExactSolution(
         problem=problem,
-        displacement=_array(u),
-        normal_force=_array(answer.normal_force),
-        friction_force=None if shape is None else _array(answer.friction_force).reshape(shape),
-        tie_force=_array(answer.tie_force),
-        gap=_array(data.gap(u)),
-        slip=None if shape is None else _array(data.slip(u)).reshape(shape),
+        displacement=fractions_of(u),
+        normal_force=fractions_of(answer.normal_force),
+        friction_force=None if shape is None else fractions_of(answer.friction_force).reshape(shape),
+        tie_force=fractions_of(answer.tie_force),
+        gap=fractions_of(data.gap(u)),
+        slip=None if shape is None else fractions_of(data.slip(u)).reshape(shape),
         contact_status=status(data, answer),
         rational=True,
         radius=None,
@@ -208,9 +208,3 @@ def _motions(problem: ContactProblem, motions: fmpq_mat) -> tuple[FreeMotion, ..
         largest = max(column, key=abs)
         directions.append(np.array([number(x / largest) for x in column]))
     return tuple(FreeMotion(direction, describe_motion(problem, direction)) for direction in directions)
-
-
-def _array(column: fmpq_mat) -> Fractions:
-    array = np.empty(column.nrows(), dtype=object)
-    array[:] = [fraction(x) for x in column.entries()]
-    return array

@@ -24,6 +24,7 @@ from contactqp.linalg.rational import (
     beside,
     column,
     fraction,
+    fractions_of,
     from_fraction,
     least_change,
     null_space,
@@ -490,11 +491,5 @@ def _numbers(data: RationalProblem) -> dict[str, Any]:
     """Return the data as arrays of Fractions, by the names of `exact_equilibria`."""
     parts = dict(stiffness=data.K, load=data.f, normal=data.E, gap=data.g, tangent=data.T, tie=data.A)
     parts.update(tie_value=data.b, slip_origin=data.slip_origin)
-    numbers: dict[str, Any] = {name: _array(part) for name, part in parts.items()}
+    numbers: dict[str, Any] = {name: fractions_of(part) for name, part in parts.items()}
     return numbers | {"friction": [fraction(mu) for mu in data.friction]}
-
-
-def _array(part: fmpq_mat) -> Any:
-    array = np.empty(part.nrows() * part.ncols(), dtype=object)
-    array[:] = [fraction(x) for x in part.entries()]
-    return array
