@@ -191,6 +191,9 @@ DEPENDENT_SQUARED = 1e-10
 # Added to the diagonal, as exactly dependent rows would give a zero pivot, which SuperLU refuses.
 LIFTS = (2.0**-52, 2.0**-46, 2.0**-40)
 
+# Pivots of unit rows below which they are nearly parallel, and parallel; entries of groups that are made orthonormal.
+NEARLY_PARALLEL, ALIKE, SEPARATED = 1e-5, 256 * float(np.finfo(np.longdouble).eps), 250_000
+
 
 class IndependentRows:
     """(E C E')^-1 of independent rows of E.
@@ -239,6 +242,50 @@ class IndependentRows:
             scaled = self._scale * lengths[self.kept]
             force[self.kept] = self._scale * (scaled if self._factor is None else self._factor.solve(scaled))
         return force
+
+
+def separated(rows: Any) -> Any:
+    """Return rows (q, n) that span the same as sparse rows (k, n), groups of nearly dependent ones orthonormal.
+
+    A sweep of refinement hardly sees what the difference of nearly parallel rows holds. A group shares unknowns, and is
+    orthogonalised (Gram and Schmidt) in floats of 64 binary digits where there are any, since the difference has few.
+    Large groups stay as they are. None if no group is nearly dependent.
+    """
+    rows = sp.csr_array(rows, copy=True)
+    rows.eliminate_zeros()
+    shared = sp.bmat([[None, rows], [rows.T, None]])
+    of_row = sp.csgraph.connected_components(shared, directed=False)[1][: rows.shape[0]]
+    parts, as_before = [rows[np.flatnonzero(np.bincount(of_row)[of_row] <= 1)]], True
+    for group in np.flatnonzero(np.bincount(of_row) > 1):
+        few = rows[np.flatnonzero(of_row == group)]
+        touched = np.unique(few.indices)
+        found = _orthonormal_if_nearly_parallel(few[:, touched]) if few.shape[0] * len(touched) <= SEPARATED else None
+        if found is None:
+            parts.append(few)
+            continue
+        place = np.tile(touched, len(found)), np.arange(len(found) + 1) * len(touched)
+        as_before = False
+        parts.append(sp.csr_array((found.ravel(), *place), shape=(len(found), rows.shape[1])))
+    return None if as_before else sp.vstack(parts, format="csr")
+
+
+def _orthonormal_if_nearly_parallel(rows: Any) -> Array | None:
+    """Return orthonormal rows that span the same, without dependent ones; None if no row nearly depends on others."""
+    left = rows.toarray().astype(np.longdouble)
+    left /= np.sqrt(np.sum(left * left, axis=1))[:, None]
+    spanned, least = np.zeros((0, left.shape[1]), dtype=np.longdouble), 1.0
+    while len(left):
+        sizes = np.sum(left * left, axis=1)
+        first = int(np.argmax(sizes))
+        least = min(least, pivot := float(np.sqrt(sizes[first])))
+        if pivot <= ALIKE:
+            break
+        row = left[first] / np.sqrt(sizes[first])
+        row -= (row @ spanned.T) @ spanned
+        row /= np.sqrt(row @ row)
+        spanned, left = np.vstack([spanned, row]), np.delete(left, first, axis=0)
+        left -= np.outer(left @ row, row)
+    return np.asarray(spanned, dtype=float) if least < NEARLY_PARALLEL else None
 
 
 class AssembledRows:

@@ -32,6 +32,7 @@ from contactqp.linalg.equilibration import scaled_by
 from contactqp.linalg.factorization import null_space_by_part, right_singular
 from contactqp.linalg.friction_states import MAX_SWEEPS, Correction, RefinedState, refined_by
 from contactqp.linalg.iteration import held_by_hierarchy
+from contactqp.linalg.krylov import separated
 from contactqp.linalg.schur import factorised, with_pivots
 from contactqp.linalg.sparse_saddle import CONTRACTS, CORRECTIONS, REGULARISATIONS, SWEEPS, SparseSaddle
 from contactqp.model.arrays import EPS, Array, Indices, Vector
@@ -51,10 +52,9 @@ SINGULAR = 1e-3
 
 # A response is settled once a sweep of refinement changes it by less than this part in the energy norm.
 SETTLED = 1e-6
-# The values of d for responses of tied bodies, tried in turn: soft bodies and nearly parallel ties need the smaller.
+# The values of d for responses of tied bodies, tried in turn: soft bodies need the smaller.
 BENEATH = REGULARISATIONS[1:]
-# The rounding of a response in doubles, relative to the forces.
-ROUNDED_RESPONSE = 64 * EPS
+ROUNDED_RESPONSE = 64 * EPS  # the rounding of a response in doubles, relative to the forces
 # The most free motions that are looked for by so many iterations, and energies of unit motions that count as none, or
 # may be one of a soft body.
 MOST_FREE, ITERATIONS, FREE, SOFT, HELD = 16, 3, 1e-13, 1e-11, 1e-11
@@ -414,10 +414,11 @@ class TiedBodies:
 
     def __init__(self, problem: ContactProblem, units: Vector) -> None:
         self._problem, self._units, self._left = problem, units, list(BENEATH)
-        self._saddle, self._motions = self._next(), np.zeros((problem.dimension, 0))
+        self._motions, self._separated = np.zeros((problem.dimension, 0)), problem.ties < 2
+        self._saddle = self._factorised(self._left.pop(0))
 
-    def _next(self) -> SparseSaddle:
-        return SparseSaddle(self._problem, np.zeros(0, dtype=np.intp), self._left.pop(0))
+    def _factorised(self, added: float) -> SparseSaddle:
+        return SparseSaddle(self._problem, np.zeros(0, dtype=np.intp), added)
 
     def response(self, force: Vector, balancing: Any = None) -> tuple[float, float] | None:
         """Return |y|_K with K y + A'nu = P f and A y = 0 for forces f (n,), and what its refinement leaves open.
@@ -429,16 +430,21 @@ class TiedBodies:
         if not force.any():
             return 0.0, 0.0
         found = None if self._motions.shape[1] else self._swept(force)
+        if found is None and not self._separated:
+            self._separated, ties = True, separated(self._problem.tie)
+            if ties is not None:
+                self._problem = self._problem.replace(tie=ties, tie_value=np.zeros(ties.shape[0]))
+                self._saddle = self._factorised(self._saddle.regularisation)
+            found = self._swept(force)
         if found is None and not self._motions.shape[1]:
             self._motions = self._free_motions()
         if self._motions.shape[1]:
-            balanced = force if balancing is None else self._balanced(force, balancing)
-            found = None if balanced is None else self._swept(force := balanced)
-            if balanced is None:
+            if (balanced := force if balancing is None else self._balanced(force, balancing)) is None:
                 return None
+            found = self._swept(force := balanced)
         while found is None and self._left:
             try:
-                self._saddle = self._next()
+                self._saddle = self._factorised(self._left.pop(0))
             except BackendFailed:
                 break
             found = self._swept(force)
@@ -458,14 +464,16 @@ class TiedBodies:
         force = force - self._units * (self._motions @ (self._motions.T @ (force / self._units)))
         y, nu, left, size = np.zeros(len(force)), np.zeros(self._problem.ties), force, 0.0
         for _ in range(SWEEPS):
-            du, _, dn = self._saddle.solve(left, np.zeros(0), -(A @ y))
+            du, _, dn = self._saddle.solve(left, np.zeros(0), -(missed := A @ y))
+            tied = self._separated and np.all(abs(missed) <= ROUNDED_RESPONSE * (abs(A) @ abs(y)))
             y, nu, before, change = y + du, nu + dn, change, self._strain(du)
             left, size = force - K @ y - A.T @ nu, self._strain(y)
-            if change <= SETTLED * size or change > CONTRACTS * before:
+            tied |= np.max(abs(dn), initial=0.0) <= SETTLED * np.max(abs(nu), initial=0.0)
+            if (change <= SETTLED * size and tied) or change > CONTRACTS * before:
                 break
         met = np.linalg.norm(left) <= SETTLED * np.linalg.norm(force)
         rounded = ROUNDED_RESPONSE * float(np.linalg.norm(force))
-        return (size, 2 * change + rounded) if met and change <= SETTLED * size + rounded else None
+        return (size, 2 * change + rounded) if met and tied and change <= SETTLED * size + rounded else None
 
     def _strain(self, y: Vector) -> float:
         return float(np.sqrt(max(float(y @ (self._problem.stiffness_rows @ y)), 0.0)))

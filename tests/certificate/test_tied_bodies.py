@@ -126,3 +126,30 @@ def test_a_contact_that_seems_open_may_press_where_rounding_leaves_a_free_motion
     bounds = energy_bounds(problem, Answer(found.displacement, found.normal_force, None, found.tie_force))
     assert bounds.force_bound is not None
     assert np.all(bounds.force_bound >= abs(found.normal_force - truth.rounded()[1]))
+
+
+@pytest.mark.sampled(9)
+@pytest.mark.parametrize("third", [False, True], ids=["two ties", "three ties"])
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e12])
+@pytest.mark.parametrize("exponent", [8, 18, 21, 24, 27, 30, 36])
+def test_forces_on_bodies_with_nearly_parallel_ties_are_compared_by_their_exact_response(
+    exponent: int, unit: float, third: bool
+) -> None:
+    """Together they hold the unknown that the largest force presses, which then strains nothing but its neighbours."""
+    n = 6
+    K = unit * (np.diag([6.5, 8.0, 15.25, 4.0, 6.0, 9.0]) - np.eye(n, k=1) - np.eye(n, k=-1))
+    tie = np.array([[1.0, -1.0, 0.5, 0.0, 0.0, 1.0], [1.0, -1.0, 0.5, 2.0**-exponent, 0.0, 1.0]])
+    if third:
+        tie = np.vstack([[0.0, 0.5, 0.5, 0.0, 1.0, 0.0], tie])
+        tie[2] += tie[0]
+    rows = np.eye(n)[[3, 2, 4]]
+    u, pressed = np.array([0.5, -0.25, 0.125, 0.75, 0.375, -0.5]), unit * np.array([64.0, 0.75, 0.25])
+    held = unit * np.array([0.5, -1.25, 2.0])[: len(tie)]
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    truth, _ = exact_truth(problem, None)
+    assert truth is not None
+    for off in ([1.25, 1.0, 1.0], [1.0, 1.25, 1.0], [1.0, 1.01, 0.97], [1.0, -1.0, 1.0]):
+        found = energy_bounds(problem, Answer(u, pressed * off, None, held))
+        true = min(truth.errors(u, pressed * off, held).readings["force_error"])
+        assert found.force_error is not None
+        assert found.force_error >= (1 - 1e-6) * true > 0
