@@ -117,17 +117,17 @@ def _energy_bounds(problem: ContactProblem, answer: Answer) -> Bounds:
     if not state.holds:
         return replace(no_bounds(NO_SOLUTION), suspicious=NO_SOLUTION)
     state = without_needless_forces(narrowed(state, Effort()))
-    soft = mostly_bare(twin) or (factor is not None and factor.smallest_pivot < REGULAR)
-    bodies = None if soft or not (twin.ties or factor is None) else TiedBodies(twin, scaling.unknowns)
+    soft = (bare := mostly_bare(twin)) or (factor is not None and factor.smallest_pivot < REGULAR)
+    bodies = None if bare or not (twin.ties or factor is None) else TiedBodies(twin, scaling.unknowns)
     pressing = sp.vstack([twin.normal[np.flatnonzero(state.answer.normal_force.double() > 0)], twin.tie])
-    response: Response | None = None if bodies is None else partial(bodies.response, balancing=pressing)
+    response: Response | None = None if soft or bodies is None else partial(bodies.response, balancing=pressing)
     response = response if soft or factor is None else partial(_untied_norm, factor, scaling)
     found, untold, solution = _from_solution(twin, start, state, scaling, factor is not None, response)
-    if soft or found.force_error is None or (factor is not None and found.by_energy):
+    if bare or found.force_error is None or (factor is not None and found.by_energy):
         return found
     change = extend(start.normal_force) - solution.normal_force, extend(start.tie_force) - solution.tie_force
     forces = (solution.normal_force, solution.tie_force), change
-    if factor is not None:
+    if factor is not None and not soft:
         found = _compared_without_ties(twin, scaling, found, forces, factor, untold)
     return found if bodies is None else _compared_with_ties(twin, found, forces, bodies, untold)
 

@@ -153,3 +153,20 @@ def test_forces_on_bodies_with_nearly_parallel_ties_are_compared_by_their_exact_
         true = min(truth.errors(u, pressed * off, held).readings["force_error"])
         assert found.force_error is not None
         assert found.force_error >= (1 - 1e-6) * true > 0
+
+
+@pytest.mark.parametrize("exponent", [16, 24, 31])
+def test_a_chain_that_only_ties_hold_is_compared_by_its_response_however_large_their_forces(exponent: int) -> None:
+    """Rounding leaves its pivots positive, so that it seems soft."""
+    K = np.zeros((6, 6))
+    for i, stiffness in enumerate([64.0, 0.25, 2.0, 128.0, 0.5]):
+        K[i : i + 2, i : i + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    tie = np.array([[0.5, 0.0, 0.0, 0.5, 0.0, 0.0], [0.5, 0.0, 2.0**-exponent, 0.5, 0.0, 0.0]])
+    rows = np.array([[0.0, 0.0, 1.0, -1.0, 0.0, -1.0], [0.0, 0.5, -1.0, 0.0, 0.0, 0.5]])
+    u, pressed, held = np.arange(6) / 8, np.array([0.375, 40.0]), 2.0**20 * np.array([1.0, -1.0])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    truth, _ = exact_truth(problem, None)
+    assert truth is not None
+    for off in ([1.25, 1.0], [1.0, 1.001], [1.0, -1.0]):
+        true = min(truth.errors(u, pressed * off, held).readings["force_error"])
+        assert force_error(problem, u, pressed * off, held) >= (1 - 1e-6) * true > 0
