@@ -93,7 +93,11 @@ def _no_bodies(scene: SceneData) -> None:
     """Refuse keys that need bodies in a scene without bodies, and an empty scene."""
     for key in ("supports", "tractions", "pressures", "point_loads"):
         if getattr(scene, key):
-            held = '; fixed = ["C.y"] holds the node C along y' if key == "supports" else ""
+            held = (
+                '; fixed = ["C.y"] holds the node C along y, and a tie of one term moves it'
+                if key == "supports"
+                else ""
+            )
             raise SceneError(f"{key}: expected none in a scene without bodies{held}")
     if not scene.nodes:
         raise SceneError("nodes: expected 'nodes', 'bodies' or 'membranes', got none")

@@ -294,7 +294,11 @@ class Term(Block):
 
 
 class Tie(Block):
-    """A multi-point constraint: sum of factor times unknown = value."""
+    """A multi-point constraint: sum of factor times unknown = value.
+
+    With one term of factor 1 it states a displacement, such as that of a support that settles, and its force is what
+    holds the node there.
+    """
 
     name: Name
     terms: Annotated[tuple[Term, ...], Field(min_length=1)]

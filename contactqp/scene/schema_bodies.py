@@ -172,7 +172,8 @@ class _Place(Block):
     def _a_set_or_a_point(self) -> Self:
         if self.near is None and not self.nodes:
             raise ValueError(
-                f"on: expected a set of a body such as \"block.top\", or 'near' beside it, got {self.on!r}"
+                f"on: expected a set of a body such as \"block.top\", or 'near' beside it, got {self.on!r}; a node of "
+                "bars or beams is held by 'fixed', moved by a tie of one term and loaded by 'loads'"
             )
         if self.near is not None and self.nodes:
             raise ValueError(f"on: expected a body alone beside 'near', got {self.on!r}")

@@ -220,6 +220,29 @@ def test_a_divided_beam_under_its_weight_has_exact_nodes():
         Scene(**data | {"nodes": [*data["nodes"], {"name": "beam 1", "at": ["1 m", "0 m"]}]})
 
 
+def test_a_tie_of_one_term_is_a_support_that_settles_and_refused_supports_of_nodes_say_so():
+    """A beam whose end settles by 2 mm, on a pier 5 mm below: R = 48 E I / L^3 (1 mm + 5 q L^4 / 384 E I - 5 mm)."""
+    beam = {"area": "0.1 m^2", "inertia": "1e-4 m^4", "modulus": "30 GPa", "divisions": 2}
+    data = dict(
+        title="a settlement",
+        axes=["x", "y"],
+        nodes=[{"name": "a", "at": ["0 m", "0 m"]}, {"name": "b", "at": ["10 m", "0 m"]}],
+        beams=[{"name": "beam", "nodes": ["a", "b"], **beam}],
+        fixed=["a.x", "a.y"],
+        obstacles=[{"name": "pier", "point": ["0 m", "-5 mm"], "normal": [0, 1]}],
+        contacts=[{"name": "pier", "node": "beam 1", "obstacle": "pier"}],
+        line_loads=[{"name": "q", "beam": "beam", "value": ["0 kN/m", "-2 kN/m"]}],
+    )
+    tie = {"name": "settles", "terms": [{"unknown": "b.y", "factor": 1}], "value": "-2 mm"}
+    sagging = 5 * 2000.0 * 10**4 / (384 * 3e6)
+    expected = 48 * 3e6 / 10**3 * (sagging - 0.004)
+    assert cq.run(Scene(**data, ties=[tie]))[-1].force_at("pier") == pytest.approx(expected, rel=1e-12)
+    for place in ("b.y", "b"):
+        support = {"name": "b", "on": place, "axis": "y", "value": "-2 mm"}
+        with pytest.raises(cq.SceneError, match="a tie of one term"):
+            Scene(**data, supports=[support])
+
+
 def test_a_line_load_comes_with_its_corner_of_the_path():
     path = {"events": "exact", "corners": [{"snow": "1/2"}, {"snow": 1, "pull": 1}]}
     fixed = ["a", "c", "b.x"]
