@@ -348,7 +348,7 @@ def of_rates(linearised: Linearised, of: str, rates: Rates, direction: Direction
     Parameters
     ----------
     linearised, of : the answer, and the name of the quantity
-    rates, direction : the rates of the answer, and what they are along
+    rates, direction : the rates of the answer, and their direction
     """
     if of != "energy":
         return read_only(getattr(rates, of)), errors_of(linearised.problem, of, rates, direction)

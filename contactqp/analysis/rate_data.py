@@ -241,7 +241,7 @@ def errors_of(problem: ContactProblem, of: str, rates: Rates, direction: Directi
     Parameters
     ----------
     problem, of : the problem of the answer, and the name of a quantity
-    rates, direction : its rates, with bounds of displacement and forces, and what they are along
+    rates, direction : its rates, with bounds of displacement and forces, and their direction
     """
     bound, u = rates.bound, abs(rates.displacement)
     if bound is None:
@@ -384,7 +384,7 @@ def missed(
     Parameters
     ----------
     problem, scales : of the answer, with friction in the plane
-    found, direction : rates, and what they are along
+    found, direction : rates, and their direction
     places : the contacts that are closed, and that stick, in their system
     """
     tie_length = scales.units[3]

@@ -120,7 +120,7 @@ def refuse_unbalanced(
     Parameters
     ----------
     problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
-    pair : AdmissiblePair, whose forces are looked at
+    pair : AdmissiblePair, whose forces are examined
     """
     rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
     onto = SparseRows(sp.csr_matrix(motions.T))

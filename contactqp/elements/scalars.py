@@ -19,9 +19,7 @@ from contactqp.model.problem_data import read_array
 
 
 def keep_own(holder: Any, *names: str) -> None:
-    """Replace attributes of a frozen object, an array by a read-only copy, a list by a tuple, so that nobody else can
-    change them.
-    """
+    """Replace attributes of a frozen object by copies that cannot change: arrays by read-only ones, lists by tuples."""
     for name in names:
         value = getattr(holder, name)
         if isinstance(value, np.ndarray):

@@ -6,8 +6,8 @@
     load.mtx  gap.mtx  friction.mtx  slip_origin.mtx  tie_value.mtx           arrays n x 1
     answer.json    displacement, normal_force, ..., and exact: the same as fractions
 
-Without problem.json files are told by their names (stiffness or K, load or f, normal or E_N, ...) in any format that
-`matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`tables`).
+Without problem.json files are recognised by their names (stiffness or K, load or f, normal or E_N, ...) in any format
+that `matrix_files` reads. contacts.csv, ties.csv and load.csv may state rows by the names of unknowns (`tables`).
 """
 
 from __future__ import annotations

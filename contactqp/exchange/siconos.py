@@ -62,7 +62,7 @@ class Words:
         return self._words[self._next : self._next + count]
 
     def words(self, count: int, what: str) -> list[str]:
-        """Return the next words; `what` says what they are.
+        """Return the next words; `what` is their name in messages.
 
         Raises
         ------

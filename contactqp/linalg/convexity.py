@@ -349,7 +349,7 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
     Parameters
     ----------
     problem : ContactProblem; friction makes no difference
-    near : (m,) mask, optional, of the contacts looked at, by default all
+    near : (m,) mask, optional, the contacts that are examined, by default all
     """
     closed = np.arange(problem.contacts) if near is None else np.flatnonzero(near)
     closed = closed[np.isfinite(problem.gap[closed])]
@@ -373,9 +373,9 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     exactly; None if none does.
 
     The equilibrium is elsewhere or there is none then, as of a linear program whose costs balance to rounding only. By
-    Farkas' lemma, with rational weights, no forces l >= 0, nu have Z'E'l + Z'A'nu = Z'f; few motions, contacts and ties
-    are looked at. What rows leave of a motion by its own rounding is zero. Of elastic bodies the rigid motions have the
-    rounding of K, and loads on them that balance to rounding are meant to.
+    Farkas' lemma, with rational weights, no forces l >= 0, nu have Z'E'l + Z'A'nu = Z'f; only small numbers of motions,
+    contacts and ties are examined. What rows leave of a motion by its own rounding is zero. Of elastic bodies the rigid
+    motions have the rounding of K, and loads on them that balance to rounding are meant to.
 
     Parameters
     ----------

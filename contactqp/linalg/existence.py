@@ -88,7 +88,7 @@ class DrivenMotion(ReadOnly):
 def refuse_driven_motion(problem: ContactProblem, rigid: RigidMotions) -> None:
     """Raise NoEquilibrium if a rigid motion z gains energy from the load (f'z > 0) and no contact or tie resists it.
 
-    Constraints that conflict are told first, as holding the motion would not help there.
+    Conflicting constraints are reported first, as holding the motion would not help there.
     """
     if (found := driven_motion(problem, rigid)) is None:
         return
@@ -382,7 +382,7 @@ def refuse_sparse_drive(problem: ContactProblem, unbalanced: Vector | None = Non
 def refuse_drive_along(problem: ContactProblem, motion: Vector, strictly: bool = False) -> None:
     """Raise NoEquilibrium if a motion near this one (n,), in scaled unknowns, is driven and unresisted.
 
-    Constraints that conflict are told first. With `strictly` K z must be exactly zero, as a regular K resists smooth
+    Conflicting constraints are reported first. With `strictly` K z must be exactly zero, as a regular K resists smooth
     motions of long chains by no more than rounding of its entries.
     """
     twin, scaling = equilibrated(problem)

@@ -307,7 +307,7 @@ class Iteration(ContactIteration):
     """A stiffness and its rows in one process, with the V-cycle of a hierarchy.
 
     Raises Unsupported: a body floats along motions that `near_null_space` does not state: without a factorisation these
-    cannot be told from soft ones; BackendMissing: pyamg is not installed.
+    cannot be distinguished from soft ones; BackendMissing: pyamg is not installed.
 
     Attributes
     ----------

@@ -400,10 +400,10 @@ def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
 
         1/2 v'(D/d K) v - (r + E'l0)'v / d    subject to    E v <= (g - E u) / D,    A v = (b - A u) / D
 
-    where r is what l0 and the ties leave unbalanced. D and d are what the answer misses, in extended precision, so that
-    contacts are told apart that close or open by rounding of the data alone (Gleixner, Steffy and Wolter 2016 for
-    linear programs, Weber, Sager and Gleixner 2019 for quadratic ones). Unknowns without stiffness get some, which acts
-    from where the program before has led (Rockafellar 1976), so that a dual active set leads to the one solution
+    where r is what l0 and the ties leave unbalanced. D and d are the errors of the answer, in extended precision, so
+    that contacts are distinguished that close or open by rounding of the data alone (Gleixner, Steffy and Wolter 2016
+    for linear programs, Weber, Sager and Gleixner 2019 for quadratic ones). Unknowns without stiffness get some, which
+    acts from where the program before has led (Rockafellar 1976), so that a dual active set leads to the one solution
     (`StrictProgram`). From its set of contacts `by_dual_steps` goes on.
 
     Parameters

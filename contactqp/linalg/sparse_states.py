@@ -425,7 +425,7 @@ class TiedBodies:
 
         P removes the part that drives motions which neither K nor ties resist, in the units of the problem. Where there
         are some, f less the forces of `balancing` rows that balance it on them takes its place. None if these do not,
-        or if what resists is too soft to be told from nothing.
+        or if what resists is too soft to be distinguished from nothing.
         """
         if not force.any():
             return 0.0, 0.0

@@ -19,7 +19,7 @@ class ContactState(IntEnum):
     """The state of a contact; in the plane it slips with s < 0 (SLIP_BACK) or s > 0 (SLIP_ON).
 
     The product of a slipping state with mu l_N is the friction force in the plane. CLOSED is a closed contact without
-    friction where states are told to people; where combinations of states are solved it is SLIP_ON, with mu l_N = 0.
+    friction where states are reported; where combinations of states are solved it is SLIP_ON, with mu l_N = 0.
     """
 
     SLIP_BACK = -1

@@ -87,7 +87,7 @@ class ContactProblem:
     near_null_space : (n, q) array, optional
         Motions that cost little energy, one a column: the rigid-body motions of elastic bodies. Those that K resists
         by nothing but the rounding of its entries, be they doubles or printed digits, are taken as rigid; the others
-        are a hint for multigrid on large problems. With q = 0 no body floats, and K is taken as it stands.
+        are a hint for multigrid on large problems. With q = 0 no body floats, and K is not changed.
 
     Raises
     ------

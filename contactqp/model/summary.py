@@ -338,7 +338,7 @@ def history_table(
     Parameters
     ----------
     times : (steps,) array
-    solutions : sequence of Solution, of these only those that are shown are looked at
+    solutions : sequence of Solution, of which only those that are shown are computed
     normal_forces : (steps, m) array
     events : sequence of Event
     exact : bool

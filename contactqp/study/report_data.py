@@ -283,8 +283,8 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     """Return what changed between two reports as text, from the contents of their results.json.
 
     Times are compared in linear solves of the same bodies where both reports have them, else in seconds. They have
-    changed where they differ by more than the sum of their spreads, each at least 20 %. Methods that change places in
-    the table of the conclusion are told, and whether their times lie within these spreads. No line is longer than 80
+    changed where they differ by more than the sum of their spreads, each at least 20 %. It reports methods that change
+    places in the table of the conclusion, and whether their times lie within these spreads. No line is longer than 80
     letters.
     """
     before, now = _rows_by_key(old), _rows_by_key(new)

@@ -332,7 +332,7 @@ class Keyword:
         Names without blanks to what is offered: None is any value, ``"idle"`` changes nothing, ``"refused"``, or the
         values that are offered, apart by ``|``.
     names : dict, the same names as they are written
-    any_parameter : parameters are not looked at: what the keyword asks for changes nothing, whatever it is
+    any_parameter : parameters are ignored: what the keyword asks for changes nothing, whatever it is
     cures : dict, what to do about a parameter that is refused
     """
 

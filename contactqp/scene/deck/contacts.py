@@ -208,7 +208,7 @@ def _tied(surfaces: Surfaces, tie: DeckTie, points: Points) -> tuple[Index, Part
 
 
 def tie_rows(surfaces: Surfaces, points: Points) -> tuple[Any, list[str]]:
-    """Return the rows (k, n) of all ties, u_slave - sum N_j u_j for each axis, and what they are called."""
+    """Return the rows (k, n) of all ties, u_slave - sum N_j u_j for each axis, and their names."""
     topology = surfaces.topology
     d = topology.dimension
     rows, names = [sp.csr_array((0, topology.size))], list[str]()
