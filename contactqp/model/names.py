@@ -83,6 +83,25 @@ def describe_motion(problem: Any, motion: Vector) -> str:
     return listed(named, len(order))
 
 
+def describe_overload(problem: Any, motion: Vector, pull: float, friction: float) -> str:
+    """Say that a load pulls along a motion with more than friction carries; empty where it does not.
+
+    Parameters
+    ----------
+    problem : has names and units
+    motion : (n,) array
+    pull, friction : the work of the load on the motion, and the largest of friction at given normal forces
+    """
+    if not pull > friction:
+        return ""
+    size, unit = float(np.max(abs(motion))), f" {problem.units.force}" if problem.units.force else ""
+    return (
+        f"; along {describe_motion(problem, motion / size)} the load pulls with {pull / size:.4g}{unit} and friction "
+        f"carries {friction / size:.4g}{unit}, by mu l_N of this step; there may be no equilibrium: lower the load, "
+        "press the contacts more, or hold the motion"
+    )
+
+
 def describe_driven(problem: Any, motion: Vector) -> str:
     """Describe a motion that nothing resists, and what may be wrong with the rows at its unknowns."""
     return f"{describe_motion(problem, motion)}{describe_faint(problem, np.flatnonzero(motion))}"

@@ -375,7 +375,7 @@ def _by_any(
             return _by(None, problem, condensation, method, settings, meter)
         if few or problem.contacts > MOST_CONTACTS or settings.max_iter is not None:
             raise error from None
-    return _listed(problem, condensation)[0]
+        return _listed(problem, condensation, f"; {error}")[0]
 
 
 def _by(
@@ -458,15 +458,15 @@ def _in_rationals(problem: ContactProblem) -> tuple[FrictionRun, ...]:
     return found
 
 
-def _listed(problem: ContactProblem, condensation: Condensation) -> tuple[FrictionRun, ...]:
-    """Return every equilibrium of a small problem; raise where there is none."""
+def _listed(problem: ContactProblem, condensation: Condensation, tried: str = "") -> tuple[FrictionRun, ...]:
+    """Return every equilibrium of a small problem; raise where there is none, with what was `tried` before."""
     found = _in_floats(problem)
     if not found:
         refuse_conflict(problem, condensation)
         if problem.contacts > MOST_PROVEN or problem.dimension > MOST_UNKNOWNS:
             refuse_parts_without_equilibrium(problem)
             within = f"up to {MOST_PROVEN} contacts and {MOST_UNKNOWNS} unknowns"
-            raise NotConverged(f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers {within}")
+            raise NotConverged(f"{NONE_IN_FLOATS}; that there is none is proven in rational numbers {within}{tried}")
         if not (found := _in_rationals(problem)):
             raise NoEquilibrium(NONE_AT_ALL)
     return found

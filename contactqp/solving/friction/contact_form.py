@@ -24,7 +24,7 @@ from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FrictionalRows, compliance_of, condensed_frictional_rows
 from contactqp.linalg.dense import BALANCED
-from contactqp.linalg.existence import refuse_conflict
+from contactqp.linalg.existence import driven_motion, refuse_conflict
 from contactqp.linalg.factorization import right_singular
 from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
@@ -33,6 +33,7 @@ from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Vector, all_finite, refuse_late
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
+from contactqp.model.names import describe_overload
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
 from contactqp.solving.friction.algorithms import ALGORITHMS, ATTEMPTS, LONG_ATTEMPTS, run_algorithm, run_any
@@ -362,10 +363,22 @@ def _on_form(
         refuse_unbalanced_in_space(problem, contacts.plain(form, start))
         raise NotConverged(
             f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
-            f"{iterate.iterations} iterations{nearby}",
+            f"{iterate.iterations} iterations{nearby}{_overload(problem, condensation, plain.normal_force)}",
             iterate.history,
         )
     return LocalAnswer(found[-1], name, iterate.iterations, iterate.history)
+
+
+def _overload(problem: ContactProblem, condensation: Condensation, push: Vector) -> str:
+    """Return a text on a motion on which the load does more work than friction with these normal forces (m,)."""
+    slippery = problem.replace(tangent=None, friction=None, slip_origin=None)
+    found = driven_motion(slippery, condensation.rigid)
+    if found is None or problem.tangent is None or problem.friction is None:
+        return ""
+    slip = np.linalg.norm((problem.tangent @ found.motion).reshape(problem.contacts, -1), axis=1)
+    return describe_overload(
+        problem, found.motion, found.work, float((problem.friction * np.maximum(push, 0.0)) @ slip)
+    )
 
 
 def _near(

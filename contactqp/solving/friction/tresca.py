@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,11 @@ from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import condensed_frictional_rows
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import nondimensional
-from contactqp.linalg.existence import refuse_driven_motion
+from contactqp.linalg.existence import DrivenMotion, refuse_driven_motion
 from contactqp.linalg.friction_states import answer_in
 from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
+from contactqp.model.names import describe_overload
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
 from contactqp.solving.friction.force_system import ForceSystem
@@ -95,9 +97,10 @@ def tresca_on_bodies(
         try:
             found = run.with_bound(bound)
         except NoEquilibrium as error:
-            # Names are dropped, as its unknowns are scaled and not all are displacements.
+            # Its message is dropped, as its unknowns are scaled and not all are displacements.
             raise NotConverged(
-                f"tresca: the friction bounds of step {step} do not hold the bodies", tuple(changes)
+                f"tresca: the friction bounds of step {step} do not hold the bodies{run.exceeded(error.proof, bound)}",
+                tuple(changes),
             ) from error
         except (NotConverged, BackendFailed) as error:
             raise NotConverged(
@@ -214,6 +217,15 @@ class _Run:
         friction = np.zeros(m)
         friction[bounded] = force[m : m + count] - force[m + count :]
         return _Step(u[:p], force[:m], friction, tie)
+
+    def exceeded(self, proof: Any, bound: Vector) -> str:
+        """Return a text on the motion that friction within a bound (m,) does not hold, empty where none is known."""
+        if not isinstance(proof, DrivenMotion):
+            return ""
+        rows, x = self._rows, proof.motion[: len(self._rows.S)]
+        pull, friction = float(self._load @ x), float(bound @ abs(rows.tangent @ x))
+        z = self._condensation.expand(x * rows.scale, np.zeros_like(self._inner))
+        return describe_overload(self._problem, z, pull, friction)
 
     def _stuck(self) -> _Step:
         """Return the answer in which every contact with friction sticks, closed or not."""

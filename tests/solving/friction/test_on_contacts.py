@@ -56,7 +56,7 @@ def test_operations_are_counted_and_not_timed_and_what_was_tried_is_said(monkeyp
     monkeypatch.setattr(contact_form, "NEARBY_OPERATIONS", 2e7)
     said = refusal()
     assert "the 2 nearest of 9 combinations fail as well; their budget of operations is spent" in said
-    assert said.endswith("a time_limit [s] takes its place and tries more")
+    assert "a time_limit [s] takes its place and tries more" in said
 
 
 @pytest.mark.slow

@@ -82,3 +82,37 @@ def test_what_pulls_by_little_more_than_friction_holds_is_told_in_space(angle: f
     solution = cq.solve(rests_in_space(angle, -part, unit))
     assert solution.certificate.passed
     assert solution.contact_status.tolist() == ["stick"]
+
+
+def pulled_from_a_sleeve(nodes: int, pull: float, across: int) -> cq.ContactProblem:
+    """Return a bar whose nodes an overlap presses against a sleeve with 1 N each; it slides along 1 or 2 axes."""
+    d = across + 1
+    bar = 100 * (np.diag([1.0, *[2.0] * (nodes - 2), 1.0]) - np.eye(nodes, k=1) - np.eye(nodes, k=-1))
+    along, one = np.diag([1.0] * across + [0.0]), np.eye(nodes)
+    return cq.ContactProblem(
+        stiffness=np.kron(bar, along) + 100 * np.kron(one, np.eye(d) - along),
+        load=np.append(np.zeros(nodes * d - d), [pull, *[0.0] * across]),
+        normal=-np.kron(one, np.eye(d)[-1:]),
+        gap=np.full(nodes, -0.01),
+        tangent=np.kron(one, np.eye(d)[:across]),
+        friction=FRICTION,
+        units=cq.Units(length="m", force="N"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("nodes", "across"),
+    [(5, 1), (12, 1), pytest.param(6, 2, marks=pytest.mark.slow), pytest.param(12, 2, marks=pytest.mark.slow)],
+)
+def test_a_pull_beyond_what_friction_carries_says_so_with_both_forces(nodes: int, across: int) -> None:
+    """Friction carries mu times 1 N a node; a bare count of combinations or steps would not tell what is wrong."""
+    assert cq.solve(pulled_from_a_sleeve(nodes, 0.9 * FRICTION * nodes, across)).certificate.passed
+    beyond = 1.3 * FRICTION * nodes
+    with pytest.raises(cq.NotConverged, match=f"the load pulls with {beyond:.4g} N and friction carries .* N") as found:
+        cq.solve(pulled_from_a_sleeve(nodes, beyond, across))
+    carried = float(str(found.value).partition("friction carries ")[2].split()[0])
+    assert carried < beyond
+    if across == 1:
+        assert carried == pytest.approx(FRICTION * nodes, rel=1e-3)
+        assert "unknown 0 by +1, unknown 2 by +1" in str(found.value)
+    assert "lower the load" in str(found.value)
