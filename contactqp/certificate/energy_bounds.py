@@ -192,7 +192,9 @@ def _from_solution(
     contacts there are due to rounding, forces are compared with those of all closed contacts, if these differ. A load
     that is rounding and drives a motion strains nothing, so that |U - u*|_K is then at most the answer's own distance.
     """
-    state = without_conflict(held, Effort())
+    unique, bare = unique_on(held), mostly_bare(problem)
+    met = MET_TOGETHER if unique.forces or not bare else SOLVED
+    state = without_conflict(held, Effort(), met)
     solution, root = state.answer.double(), float(np.sqrt(unit := scaling.length * scaling.force))
     wide, least = _width(state), NO_LENGTH * state.length
     distance = sum(energy_norm(problem, extend(answer.displacement) - state.answer.displacement))
@@ -202,10 +204,9 @@ def _from_solution(
     rounding = NO_LENGTH * float(moved @ (problem.stiffness_sizes @ moved))  # rounding of rigid motions, of either sign
     if elastic < -NEGATIVE * size - rounding:
         return replace(no_bounds(NO_MINIMUM), suspicious=NO_MINIMUM), 0.0, held.answer
-    unique = unique_on(held)
     if unique.forces and np.array_equal(state.closed, held.closed):
         held = state  # all rows of the same set are met together
-    sees = unique.displacement and problem.diagonal.any() and not mostly_bare(problem)
+    sees = unique.displacement and problem.diagonal.any() and not bare
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > least else 0.0
     strained = strain if strain > least else scale
@@ -245,10 +246,9 @@ def _from_solution(
         reasons=() if bounded else (f"force_bound: {NOT_APART if unique.forces else REDUNDANT}",),
     )
     # Forces of open contacts of a program are unknown: only rounding counts as no penetration.
-    passed = -state.left.gap.double()[~state.closed] / state.length if mostly_bare(problem) else np.zeros(0)
-    meets = state.length_residual <= (MET_TOGETHER if unique.forces or not mostly_bare(problem) else SOLVED)
+    passed = -state.left.gap.double()[~state.closed] / state.length if bare else np.zeros(0)
     untold = untold if problem.ties or state.force_residual <= BALANCED else min(untold, distance)
-    if meets and not np.any(passed > SOLVED):
+    if state.length_residual <= met and not np.any(passed > SOLVED):
         return found, untold, held.answer
     near = _relative(distance, scale) <= CLOSE_BY and _relative(missed, largest) <= CLOSE_BY
     return _of_conflict(found, np.max(passed, initial=state.length_residual), near), untold, held.answer

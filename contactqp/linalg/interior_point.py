@@ -52,18 +52,19 @@ AT_A_VERTEX = 20
 LARGE_FORCE, ROUNDS = 1e6, 6
 
 
-def without_conflict(state: ClosedState, effort: Effort) -> ClosedState:
-    """Return a state whose closed contacts do not conflict, else the same state, marked."""
-    if not state.solved or state.length_residual <= MET_TOGETHER or state.in_conflict:
+def without_conflict(state: ClosedState, effort: Effort, met: float = MET_TOGETHER) -> ClosedState:
+    """Return a state whose closed contacts are met to this part of the largest length, else the same state, marked."""
+    if not state.solved or state.length_residual <= met or state.in_conflict:
         return state
     together = by_pivots(state, effort)
-    if together.holds and together.length_residual <= MET_TOGETHER:
+    if together.holds and together.length_residual <= met:
         return together
     most, enough = effort.most, effort.factorisations + AT_A_VERTEX
     effort.most = min(most, enough)
     vertex = vertex_near(state.problem, state.answer, state.length * state.length_residual, effort)
     effort.most = most
-    if vertex is None or not vertex.holds or vertex.residual > max(MET_TOGETHER, state.force_residual):
+    met, balanced = (max(part, state.force_residual) for part in (met, MET_TOGETHER))
+    if vertex is None or not (vertex.holds and vertex.length_residual <= met and vertex.force_residual <= balanced):
         return replace(state, in_conflict=most >= enough)
     return vertex
 

@@ -26,6 +26,7 @@ from contactqp.linalg.equilibration import REACH, equilibrated, reach
 from contactqp.linalg.extended import ExtendedAnswer
 from contactqp.linalg.sparse_saddle import ClosedState, SparseSaddle
 from contactqp.model.solution import Answer
+from tests.linalg.test_crossover import corner, exact_energy
 
 
 def problem_of(K: np.ndarray) -> cq.ContactProblem:
@@ -417,3 +418,22 @@ def test_a_least_energy_of_zero_is_no_reason_to_refuse(seed: int) -> None:
     i = int(np.flatnonzero(cost)[0])
     wrong = np.where(np.arange(unknowns) == i, 1e-3, solution.displacement)
     assert not cq.certify(program, wrong, solution.normal_force, tie_force=solution.tie_force).passed
+
+
+@pytest.mark.parametrize("far", [1e4, 1e8])
+def test_a_far_wall_does_not_hide_that_a_vertex_meets_planes_apart(far: float) -> None:
+    """Nine planes that conflict by rounding do so by less than 1e-20 of the way to a wall, and three of them do not."""
+    problem, point, forces = corner(0)
+    point, gap = point.copy(), problem.gap.copy()
+    point[-1] = gap[-1] = far
+    farther = problem.replace(gap=gap)
+    certificate = cq.certify(farther, point, forces)
+    assert certificate.passed
+    assert certificate.proven
+    assert certificate.energy_bounds is not None
+    lower, upper = (Fraction(bound) for bound in certificate.energy_bounds)
+    exact = exact_energy(problem) - Fraction(far)
+    rounding = Fraction(2) ** -52 * abs(exact)
+    assert lower - rounding <= exact <= upper + rounding
+    assert upper - lower <= Fraction(1, 10**13) * abs(exact)
+    assert not cq.certify(farther, point * (1 + 1e-6), forces).passed
