@@ -260,7 +260,7 @@ def refuse_options(problem: ContactProblem, chosen: Method, options: dict[str, A
     if algorithm is not None and not isinstance(algorithm, str):
         raise InvalidProblem(f"algorithm: expected a name, got {shown(algorithm)}")
     if algorithm == "associated":
-        raise Unsupported("associated: it is no step of Coulomb friction, and a path would carry its dilation along")
+        raise Unsupported("associated: it is not a step of Coulomb friction, and a path would carry its dilation along")
     if "warm_start" in options:
         raise InvalidProblem("warm_start: a path starts each step from the one before")
     known = {name: options[name] for name in ARGUMENTS if name in options}

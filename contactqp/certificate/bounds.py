@@ -102,7 +102,7 @@ NEXT_TO_NOTHING = 1e-12  # forces below this part of the displacement's energy n
 STRAINED_BY_ROUNDING = 16.0  # a strain up to this multiple of that of the rigid part may be due to rounding of K
 # Why forces that contacts and ties share have no bound although their resultants have one.
 REDUNDANT = "the closed contacts and ties are redundant, and forces that they share have no bound"
-FRICTION_HAS_NONE = "Coulomb friction is no minimisation; contactqp.certify looks for a bound from the law itself"
+FRICTION_HAS_NONE = "Coulomb friction is not a minimisation; contactqp.certify looks for a bound from the law itself"
 OUT_OF_TIME = "the time limit ended the search, and as long again did not suffice for bounds"
 LARGEST = 8000  # the most condensed unknowns for the dense systems of the bounds
 

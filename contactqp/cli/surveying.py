@@ -254,7 +254,7 @@ def gallery_command(
         from contactqp.oracle.gallery.gallery import write_qpbenchmark
 
         written, count = write_qpbenchmark(folder, chosen)
-        left_out = f"; {len(chosen) - count} with friction are no quadratic programs" if count < len(chosen) else ""
+        left_out = f"; {len(chosen) - count} with friction are not quadratic programs" if count < len(chosen) else ""
         click.echo(f"written: {written}, {count} problems{left_out}")
     elif folder is not None:
         click.echo(f"written: {write_gallery(folder, chosen)}, {len(chosen)} problems")

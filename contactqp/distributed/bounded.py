@@ -248,7 +248,7 @@ def solve_bounded(problem: DistributedProblem, method: str, solver: str, setting
     settings : the tolerance, the most steps and a warm start
     """
     if problem.frictional:
-        raise Unsupported(f"{method}: friction is no bound on unknowns; active-set takes it")
+        raise Unsupported(f"{method}: friction is not a bound on unknowns; active-set takes it")
     inner = inner_solver(method, solver, problem.dimension)
     scaled = _Scaled(bound_unknowns(problem, method), settings.warm_start)
     run = _newton if method in NEWTON else _trust_region

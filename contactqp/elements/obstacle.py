@@ -191,7 +191,7 @@ class SignedDistance:
             i = wrong[np.argmax(np.abs(length[wrong] - 1))]
             raise InvalidProblem(
                 f"signed distance: at point {i}, {x[i].tolist()}, the gradient has the length {length[i]:.9g}; "
-                f"expected 1 within {self.tolerance:g}: the function is no distance there, or has a kink"
+                f"expected 1 within {self.tolerance:g}: the function is not a distance there, or has a kink"
             )
         normals: Array = gradients / length[:, np.newaxis]
         return normals

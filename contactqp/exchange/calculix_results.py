@@ -411,7 +411,7 @@ def _displacement(path: Path, problem: ContactProblem, field: NodalField, ledger
         other = np.ones(field.values.shape, dtype=bool)
         other[tuple(np.array(sorted(used)).T)] = False
         most = np.max(abs(field.values[other]))
-        ledger.ignored.append(f"{rest} displacements that are no unknowns of the problem, none larger than {most:g}")
+        ledger.ignored.append(f"{rest} displacements that are not unknowns of the problem, none larger than {most:g}")
     return u
 
 

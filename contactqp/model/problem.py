@@ -230,7 +230,7 @@ class ContactProblem:
         array([4., 1.])
         """
         if self.frictional:
-            raise Unsupported("to_qp: Coulomb's friction is no quadratic program; give friction=0 to leave it out")
+            raise Unsupported("to_qp: Coulomb's friction is not a quadratic program; give friction=0 to leave it out")
         return quadratic_program(self)
 
     def _keep(self, values: Mapping[str, Any], computed: Computed) -> None:

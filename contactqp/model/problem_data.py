@@ -90,7 +90,7 @@ def read_array(name: str, value: Any) -> Array:
     try:
         raw = np.asarray(value)
         if raw.dtype.kind not in KINDS:
-            raise TypeError(f"{OTHER_KINDS.get(raw.dtype.kind, raw.dtype)} are no real numbers")
+            raise TypeError(f"{OTHER_KINDS.get(raw.dtype.kind, raw.dtype)} are not real numbers")
         for entry in raw.flat if raw.dtype.kind == "O" else ():
             if not isinstance(entry, (numbers.Real, Decimal)):
                 raise TypeError(f"one of type {type(entry).__name__}")

@@ -142,7 +142,7 @@ class _Reader:
         if not rest or not self.place:
             return f"{self.text!r}"
         allowed = "decimals, + - * /, brackets and sqrt(...)" if self.roots else "decimals, + - * / and brackets"
-        return f"{self.text!r}, which is no number from {rest!r} on: numbers are {allowed}"
+        return f"{self.text!r}, which is not a number from {rest!r} on: numbers are {allowed}"
 
     def take(self, signs: str) -> str:
         """Take the next character if it is one of `signs`, and return it, else ""."""
@@ -360,7 +360,7 @@ def read_unit(text: str) -> tuple[Fraction, Dimension]:
     while place < len(text):
         match = _NAME.match(text, place)
         if match is None or (match["sign"] is None) != (place == 0) or match["power"] in ("0", "-0"):
-            raise NotANumber(f"{text!r} is no unit")
+            raise NotANumber(f"{text!r} is not a unit")
         exponent = _RAISED.get(match["raised"], int(match["power"] or 1)) * (-1 if "/" in (match["sign"] or "") else 1)
         factor, one = _single_unit(match["name"])
         value, dimension, place = value * factor**exponent, dimension.times(one.power(exponent)), match.end()

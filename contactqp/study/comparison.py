@@ -434,7 +434,7 @@ def compare(
     values = dict(knobs or {})
     for name in values:
         if name not in {method.name for method in chosen if method.knob}:
-            raise InvalidProblem(f"knobs: {name!r} is no compared method with a knob")
+            raise InvalidProblem(f"knobs: {name!r} is not a compared method with a knob")
     for name in options:
         if not any(takes(method.name, name) for method in chosen):
             known = [option for method in chosen for option in method.options]

@@ -154,7 +154,7 @@ def test_a_bound_without_the_directions_of_slips_would_not_hold(told: bool, monk
 
 
 def test_friction_that_is_at_its_bound_to_a_rounding_has_rates_without_a_bound() -> None:
-    """0.3 is no double: the answer sticks or slips by a rounding, and which of the two bounds would have to say."""
+    """0.3 is not a double: the answer sticks or slips by a rounding, and which of the two bounds would have to say."""
     floor = dict(normal=[[0.0, 0.0, -1.0]], gap=[0.0], tangent=np.eye(3)[:2], friction=0.3)
     answer = cq.solve(cq.ContactProblem(np.diag([2.0, 4.0, 5.0]), [1.8, 2.4, -10.0], **floor))
     found = answer.derivative("displacement", "load", [1.0, 1.0, 0.0])

@@ -190,7 +190,7 @@ def test_why_there_is_no_bound_is_said() -> None:
         np.diag([2.0, 3.0, 5.0]), [3.0, 0.0, -10.0], [[0.0, 0.0, -1.0]], [0.0], np.eye(3)[:2], 0.3
     )
     at_bound = cq.solve(block).derivative("displacement", "load", [1.0, 0.0, 0.0])
-    assert at_bound.bound is None  # 0.3 is no double
+    assert at_bound.bound is None  # 0.3 is not a double
     assert "may be beside the border" in at_bound.bound_reason
     exactly = cq.solve(block.replace(friction=0.25, load=[2.5, 0.0, -10.0])).derivative("slip", "load", [1.0, 0.0, 0.0])
     assert np.max(exactly.bound) < 1e-12

@@ -446,7 +446,7 @@ def test_a_slack_chain_takes_its_shape_without_a_snap():
 
 
 def test_a_load_beyond_all_numbers_is_refused_without_a_warning():
-    with pytest.raises(NotConverged, match="no part of the step can be taken: the energy is no number"):
+    with pytest.raises(NotConverged, match="no part of the step can be taken: the energy is not a number"):
         cq.large_deformation(arch(), [[0.0, -1e200]], steps=1)
 
 

@@ -106,7 +106,7 @@ def test_the_last_increment_is_the_answer(tmp_path: Path, name: str, text: str) 
     assert parts["normal_pressure"].tolist() == [2.5]
     assert named == {"displacement", "normal_pressure"}
     assert "displacements of 1 earlier times" in ledger.ignored
-    assert any(line.startswith("7 displacements that are no unknowns") for line in ledger.ignored)
+    assert any(line.startswith("7 displacements that are not unknowns") for line in ledger.ignored)
     force = 2.0 * parts["normal_pressure"]  # on an area of two
     assert cq.certify(PROBLEM, parts["displacement"], force).passed
 

@@ -119,7 +119,7 @@ MISTAKES = {
         "*CONTACT INTERFERENCE\n1.\n*BOUNDARY\nBOTTOM",
         "*CLEARANCE, VALUE=-",
     ),
-    "a table in the place of contact": ("=LINEAR", "=TABULAR", "are no Signorini contact; in the place of TIED take"),
+    "a table in the place of contact": ("=LINEAR", "=TABULAR", "are not Signorini contact; in the place of TIED take"),
     "an amplitude that is not there": (
         "*BOUNDARY\nTOP",
         "*BOUNDARY, AMPLITUDE=UP\nTOP",

@@ -100,7 +100,7 @@ def test_a_problem_of_qpsolvers_is_taken_as_it_is() -> None:
 
 def test_friction_is_no_quadratic_program() -> None:
     problem = cq.ContactProblem(np.eye(2), [1.0, 1.0], [[0.0, 1.0]], [0.1], tangent=[[1.0, 0.0]], friction=0.3)
-    with pytest.raises(cq.Unsupported, match="no quadratic program"):
+    with pytest.raises(cq.Unsupported, match="not a quadratic program"):
         problem.to_qp()
 
 

@@ -281,7 +281,7 @@ def _searched(
         fraction /= 2
     if _rounding(loaded, now, K, target, step, before):
         return 1.0, loaded.at(now.displacement + step.increment), ""
-    raise NotConverged(f"Newton's method: no part of the step can be taken: {reason or 'the energy is no number'}")
+    raise NotConverged(f"Newton's method: no part of the step can be taken: {reason or 'the energy is not a number'}")
 
 
 def _stretched(

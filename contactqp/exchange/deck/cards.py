@@ -416,7 +416,7 @@ _READ = (
     _read("SURFACE INTERACTION", MODEL, "NAME", refused="USER, UNSYMM"),
     _read("SURFACE BEHAVIOR", MODEL, "PRESSURE-OVERCLOSURE=HARD|LINEAR", idle="PENALTY, DIRECT, AUGMENTED LAGRANGE",
           refused="NO SEPARATION",
-          pressure_overclosure="EXPONENTIAL and TABULAR are no Signorini contact; in the place of TIED take *TIE",
+          pressure_overclosure="EXPONENTIAL and TABULAR are not Signorini contact; in the place of TIED take *TIE",
           no_separation="contact does not pull; surfaces that stay together are joined by *TIE"),
     _read("FRICTION", MODEL, idle="SLIP TOLERANCE, ELASTIC SLIP",
           refused="ROUGH, TAUMAX, EXPONENTIAL DECAY, ANISOTROPIC, LAGRANGE, USER, DEPENDENCIES, SLIP DEPENDENT",

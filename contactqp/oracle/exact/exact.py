@@ -205,7 +205,7 @@ def _of_scene(
 ) -> ExactSolution:
     for there, what in ((scene.large, "large deformations"), (scene.motion is not None, "a motion")):
         if there:
-            raise Unsupported(f"exact: {what}: the answer is no solution of one linear system")
+            raise Unsupported(f"exact: {what}: the answer is not the solution of one linear system")
     from contactqp.scene.building import build
     from contactqp.scene.schema import end_time
 

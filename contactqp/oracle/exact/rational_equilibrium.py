@@ -434,7 +434,7 @@ def settle_with_friction(data: RationalProblem, proposal: Proposal) -> SettledWi
     if found is not None and not (countable and data.contacts <= LISTED):
         return SettledWithFriction(found, None)
     if not countable:
-        where = "the slip directions of floats are no rational ones" if data.width > 1 else "its signs fail exactly"
+        where = "the slip directions of floats are not rational" if data.width > 1 else "its signs fail exactly"
         raise Unsupported(f"exact: the combination of open, stick and slip that floats propose is not proven: {where}")
     states = exact_equilibria(proposal.problem, **_numbers(data))
     if not states:

@@ -325,7 +325,7 @@ def refine(
     if not 0 < digits <= MOST_DIGITS:
         raise InvalidProblem(f"refine: digits: expected 1 to {MOST_DIGITS}, got {digits}")
     if problem.frictional:
-        raise Unsupported("refine: Coulomb friction is no quadratic program")
+        raise Unsupported("refine: Coulomb friction is not a quadratic program")
     if first is None:
         first = solve(problem, method, **options)
     walk = _Walk(problem, first, method, options)

@@ -129,7 +129,7 @@ def truss_on_rough_floor() -> Contents:
         normal_force=[force],
         friction_force=[[mu * force]],
         description="The truss slides on a rough floor, mu = 0.3; printed is 31.337 kN, with friction along the slip.",
-        source=f"{CHAPTER}, Example 2.18; mu = 0.3 is no double, the answer belongs to 3/10",
+        source=f"{CHAPTER}, Example 2.18; mu = 0.3 is not a double, the answer belongs to 3/10",
         formula="u_x = (60 + K12 g - mu (100 - K22 g)) / (K11 + mu K12); l = 180933933661/6186793000 kN",
         units=("mm", "mN"),
         unknowns=["1.x", "1.z"],

@@ -81,7 +81,7 @@ def _lines(scene: Scene, model: BodyModel) -> Iterator[str]:
     count = 0
     for number, body in enumerate(model.structure.bodies):
         if not isinstance(body, Body):
-            raise Unsupported(f"export: {body.name} is no elastic body")
+            raise Unsupported(f"export: {body.name} is not an elastic body")
         elements[body.name] = count
         yield from _body(number, body, _first_node(model, body.name), count)
         count += body.mesh.elements

@@ -495,5 +495,5 @@ def finite_gap(problem: ContactProblem) -> NDArray[np.float64]:
     """
     if (never := problem.gap == np.inf).any():
         i = int(np.argmax(never))
-        raise Unsupported(f"{problem.contact_name(i)} never closes: infinity is no rational number, leave it out")
+        raise Unsupported(f"{problem.contact_name(i)} never closes: infinity is not a rational number, leave it out")
     return problem.gap

@@ -69,8 +69,8 @@ class LocalForm:
         for name, values in {"delassus": entries, "offset": self.q, **joints}.items():
             if not np.isfinite(values).all():
                 raise InvalidProblem(
-                    f"{name}: an entry is no double in units in which every contact's own compliance is one and what "
-                    "drives it is one; state the problem in units in which its numbers are nearer to each other"
+                    f"{name}: an entry is not a double in units in which every contact's own compliance is one and "
+                    "what drives it is one; state the problem in units in which its numbers are nearer to each other"
                 )
 
     @cached_property

@@ -191,8 +191,8 @@ def _static(case: CaseRecord, blocks: dict[str, str]) -> Iterator[Formula]:
     energy = rf"\underset{{{where}}}{{\min}} \; \frac{{1}}{{2}} u^T K u - {transposed} u"
     if case.sizes.tangential_rows:
         meaning = (
-            "friction is no minimisation: each step minimises this with the friction, or the bound of it, of the step "
-            "before, until they agree"
+            "friction is not a minimisation: each step minimises this with the friction, or the bound of it, of the "
+            "step before, until they agree"
         )
         yield Formula("Energy", energy, meaning)
     else:

@@ -441,7 +441,7 @@ def test_a_contact_without_compliance_beside_numbers_of_any_size_has_its_answer(
 
 def test_local_numbers_that_no_common_size_brings_within_doubles_are_refused_by_name():
     problem = cq.LocalProblem(delassus=np.eye(4), offset=[-1e-160, 0.0, 1e200, 0.0], friction=0.3, dimension=2)
-    with pytest.raises(cq.InvalidProblem, match="offset: an entry is no double"):
+    with pytest.raises(cq.InvalidProblem, match="offset: an entry is not a double"):
         cq.solve(problem)
 
 

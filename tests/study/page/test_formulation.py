@@ -46,7 +46,7 @@ def test_friction_is_no_minimisation_and_has_its_cone() -> None:
     found = _of("truss_friction")
     assert _latex(found, "Equilibrium") == r"K u + E_N^T \lambda_N + E_T^T \lambda_T  = f(t)"
     meanings = {formula.name: formula.meaning for formula in found.formulas}
-    assert "no minimisation" in meanings["Energy"]
+    assert "not a minimisation" in meanings["Energy"]
     assert "Karush" not in meanings["Equilibrium"]
     assert "Karush" in next(f.meaning for f in _of("bar_wall").formulas if f.name == "Equilibrium")
     assert _latex(found, "Coulomb").endswith(r"\lambda_{T,i} = \mu_i \lambda_{N,i} \frac{s_i}{\lVert s_i \rVert}")
