@@ -114,7 +114,6 @@ def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
             _one_thing(scene, f"{where}.of", item.of, unknowns)
             expected = 1 if item.of in unknowns.names else len(scene.axes)
             kind = KINDS[kinds[is_rotation(item.of)]]
-            unit = scene.system.label(kind.dimension)
             for name in ("value", "to"):
                 vector = getattr(item, name)
                 if vector is not None and len(vector) != expected:
@@ -127,6 +126,9 @@ def _starts_fit(scene: SceneData, unknowns: Unknowns) -> None:
             for name, value in start_values(scene, item):
                 before, stated = seen.setdefault(name, (where, value))
                 if stated != value:
+                    unit = scene.system.label(KINDS[kinds[0]].dimension)
+                    if is_rotation(name):  # that of a beam turns with what is linear along it
+                        unit = "rad" if key == "displacements" else "rad/s"
                     raise SceneError(
                         f"{where} ({item.of!r}): expected {float(stated)!r} {unit} for {name!r}, as {before} states "
                         f"it, got {float(value)!r} {unit}"

@@ -471,3 +471,14 @@ def test_rotations_may_have_starts_in_their_own_units():
             Scene(**data | {"motion": data["motion"] | {"displacements": displacements}})
     with pytest.raises(cq.SceneError, match="expected an angular velocity such as"):
         Scene(**data | {"motion": data["motion"] | {"velocities": [{"of": "b.theta", "value": ["1 m/s"]}]}})
+
+
+def test_beams_that_would_turn_a_shared_node_differently_are_refused_in_radians():
+    data = TURNING | {
+        "nodes": [*TURNING["nodes"], {"name": "c", "at": ["2.4 m", "3.2 m"]}],
+        "beams": [*TURNING["beams"], TURNING["beams"][0] | {"name": "next", "nodes": ["b", "c"]}],
+    }
+    still = {"of": "next", "value": ["-4.8 m/s", "3.6 m/s"]}
+    motion = data["motion"] | {"velocities": [*data["motion"]["velocities"], still]}
+    with pytest.raises(cq.SceneError, match=r"expected 3.0 rad/s for 'b.theta', as motion.velocities\[0\] states it"):
+        Scene(**data | {"motion": motion})
