@@ -26,6 +26,7 @@ from contactqp.linalg.schur import LARGE, factorised, with_pivots
 from contactqp.model.arrays import EPS, Array, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import BUCKLED
 
 # The most contacts and ties whose overlap is looked for in rational numbers, and why nothing is claimed with one.
 MOST_ROWS, DECIDED = 60, "what rounding of the data decides is not proven"
@@ -181,7 +182,7 @@ def _refuse_curved(problem: ContactProblem, z: Vector) -> None:
         names = ", ".join(problem.dof_name(int(j)) for j in np.argsort(-abs(z))[:NAMED] if abs(z[j]) > CURVED)
         raise InvalidProblem(
             f"stiffness: expected positive semidefinite, got z'Kz = {curvature:.3g} along a direction z whose largest "
-            f"entry is one ({names}): the energy is not convex"
+            f"entry is one ({names}): the energy is not convex{BUCKLED}"
         )
 
 

@@ -37,6 +37,7 @@ from contactqp.errors import InvalidProblem
 from contactqp.linalg.runtime import dense_product, lapack
 from contactqp.model.arrays import EPS, RUNNING, TINY, Array, Indices, Mask, Vector, inverse_root, refuse_late
 from contactqp.model.problem import ContactProblem
+from contactqp.model.problem_data import BUCKLED
 
 # Up to here a dense Cholesky factorisation is as fast as a sparse one and needs no ordering.
 DENSE_SIZE = 300
@@ -121,7 +122,7 @@ def refuse_negative(smallest_pivot: float) -> None:
     """Raise InvalidProblem if a pivot is negative beyond rounding: the matrix is indefinite."""
     if smallest_pivot < -SUSPICIOUS_PIVOT:
         got = f"got a pivot of {smallest_pivot:.3g} after scaling its diagonal to one"
-        raise InvalidProblem(f"stiffness: expected positive semidefinite, {got}")
+        raise InvalidProblem(f"stiffness: expected positive semidefinite, {got}{BUCKLED}")
 
 
 def orthonormal(motions: Array) -> Array:

@@ -30,8 +30,9 @@ SYMMETRY_TOLERANCE = 1e-6
 DEFINITENESS_CHECK_SIZE = 200
 # Numbers between the inverse of this power of two (1e-24) and itself (1e24) need no scaling.
 FARTHEST = 80
-# The most entries of a direction of negative curvature in a message.
+# The most entries of a direction of negative curvature in a message, and what may be behind it.
 CURVED_NAMED = 4
+BUCKLED = "; beyond its buckling load a structure has such a stiffness: contactqp.large_deformation follows it"
 
 T = TypeVar("T")
 # Immutable types.
@@ -429,10 +430,10 @@ def _curved(K: Array, direction: Array) -> str:
 
 
 def _advice_on_digits(eigenvalue: float) -> str:
-    """Return advice for an eigenvalue that lost digits may have caused, or an empty string."""
+    """Return advice for a negative eigenvalue, which lost digits may have caused if it is small."""
     if eigenvalue < -SYMMETRY_TOLERANCE * 10:
-        return ""
-    return "; if it was printed with few digits, print more, or state the rigid motions as near_null_space"
+        return BUCKLED
+    return f"; if it was printed with few digits, print more, or state the rigid motions as near_null_space{BUCKLED}"
 
 
 def read_friction(

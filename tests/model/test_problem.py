@@ -150,3 +150,18 @@ def test_a_row_may_act_on_what_is_not_elastic() -> None:
     assert problem.normal.toarray().tolist() == [[-1.0, 1e-150]]
     with pytest.raises(cq.InvalidProblem, match="contact 0 closes only after 1,"):  # of which its tiny entry is no part
         cq.solve(problem)
+
+
+@pytest.mark.parametrize("elements", [8, 300])
+@pytest.mark.parametrize("part", [0.99, 1.01, 2.0])
+def test_a_column_beyond_eulers_load_is_sent_to_large_deformation(elements: int, part: float) -> None:
+    """A simply supported column by finite differences buckles into a sine under (2 - 2 cos(pi / n)) n^2 EI."""
+    n = elements
+    bent = n * n * (2 * np.eye(n - 1) - np.eye(n - 1, k=1) - np.eye(n - 1, k=-1))
+    euler = n * n * (2 - 2 * np.cos(np.pi / n))
+    data = dict(stiffness=bent @ bent - part * euler * bent, load=np.ones(n - 1), normal=np.eye(1, n - 1), gap=[1.0])
+    if part < 1:
+        assert cq.solve(cq.ContactProblem(**data)).certificate.passed
+        return
+    with pytest.raises(cq.InvalidProblem, match=r"buckling load .* contactqp\.large_deformation"):
+        cq.solve(cq.ContactProblem(**data))
