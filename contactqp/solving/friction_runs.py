@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.certificate.certificate import certificate_of, holds, holds_by_products
+from contactqp.certificate.certificate import holds, holds_by_products
 from contactqp.certificate.coulomb_law import rounded_slips
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotConverged, SeveralEquilibria, Unsupported, shown
 from contactqp.linalg import pardiso
@@ -29,12 +29,12 @@ from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iterated_states import FrictionRows
 from contactqp.linalg.iteration import Systems, frictional_iteration, iterated
 from contactqp.linalg.measures import forces_that_meet, lengths, row_sizes
-from contactqp.model.arrays import Array, all_finite, on_one_thread
+from contactqp.model.arrays import Array, all_finite, on_one_thread, time_is_up
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status, slips
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate, Final, Work
 from contactqp.solving.friction.algorithms import ALGORITHMS, TAKEN, Algorithm
-from contactqp.solving.friction.associated import recovered, relaxed_in_space, relaxed_in_the_plane
+from contactqp.solving.friction.associated import associated_answer
 from contactqp.solving.friction.by_iteration import solve_friction_by_iteration
 from contactqp.solving.friction.contact_form import solve_on_contacts
 from contactqp.solving.friction.enumeration import MOST_CONTACTS, all_equilibria
@@ -51,45 +51,7 @@ from contactqp.solving.friction.force_system import CombinationAnswer, ForceSyst
 from contactqp.solving.friction.newton import refined, solve_sparse_newton
 from contactqp.solving.friction.tresca import tresca_on_bodies
 from contactqp.solving.methods import DEFAULT_METHOD, Method, Settings, algorithm_name, find
-from contactqp.solving.runs import CondensedRun, Meter, Run, RunByIteration, described
-
-
-def _associated(
-    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
-) -> tuple[Answer, str]:
-    """Solve the associated relaxation, in the plane by `method` and in space by Clarabel; return its answer and name.
-
-    Raises
-    ------
-    NoEquilibrium
-        Constraints conflict, or a load drives a rigid motion that nothing resists.
-    NotConverged, BackendFailed, BackendMissing
-        The convex solver failed, or its result does not satisfy the relaxation.
-    Unsupported
-        A method that is approximate by design.
-    """
-    if not method.exact:
-        raise Unsupported(f"{method.name}: the associated relaxation takes an exact method")
-    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
-        try:
-            answer = relaxed_in_space(problem, condensation)
-        except NotConverged:
-            refuse_conflict(problem, condensation)
-            refuse_driven_motion(problem, condensation.rigid)
-            raise
-        return answer, "associated friction law by clarabel (not Coulomb)"
-    relaxed = relaxed_in_the_plane(problem)
-    # The program has two forces per contact, a start has one.
-    found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final().answer
-    certificate = certificate_of(relaxed, found)
-    if not certificate.passed:
-        raise NotConverged(f"associated friction law by {method.name}: {'; '.join(certificate.failures)}")
-    answer = recovered(problem, found.displacement, found.normal_force, found.tie_force)
-    return answer, f"associated friction law by {method.name} (not Coulomb)"
-
-
-# Contact forces below this part of the forces that meet there are rounding errors of a nearly singular stiffness.
-NOISE = 1e-15
+from contactqp.solving.runs import Meter, Run, RunByIteration, described
 
 
 def free_motions(problem: ContactProblem, condensation: Condensation, answer: Answer) -> Array:
@@ -153,6 +115,10 @@ def _combination(problem: ContactProblem, answer: Answer) -> Status:
     return np.where(answer.normal_force > 0, closed, OPEN).astype(np.int8)
 
 
+# Contact forces below this part of the forces that meet there are rounding errors of a nearly singular stiffness.
+NOISE = 1e-15
+
+
 def without_negligible_forces(problem: ContactProblem, answer: Answer) -> Answer:
     """Return the answer without contact forces of rounding size, if it remains an equilibrium."""
     force = answer.normal_force
@@ -206,7 +172,9 @@ class FrictionRun(Run):
         self.candidate = Candidate(replace(answer, friction_force=None), iterations=steps, history=history)
 
     def final(self) -> Final:
-        """Return the answer to be certified, that of its combination of open, stick and slip."""
+        """Return the answer to be certified, that of its combination of open, stick and slip; unfinished as it is."""
+        if not self.candidate.claimed:
+            return Final(self._answer)
         condensation = self._condensation or condense(self.problem)
         free = free_motions(self.problem, condensation, self._answer)
         answer = without_negligible_forces(self.problem, at_rest(self.problem, condensation, self._answer, free))
@@ -340,7 +308,7 @@ def run_friction(
         if condensation.rigid.count:
             refuse_driven_motion(problem, condensation.rigid)
         if algorithm == "associated":
-            answer, name = _associated(problem, condensation, method, settings)
+            answer, name = associated_answer(problem, condensation, method, settings)
             return FrictionRun(problem, answer, name, meter, exact=False, condensation=condensation)
         if algorithm == "enumeration":
             return _only(problem, condensation)
@@ -368,6 +336,8 @@ def _by_any(
     try:
         return _by(TRESCA_AT_ONCE, problem, condensation, method, steps, meter)
     except NotConverged as error:
+        if time_is_up():
+            raise
         if few:
             with suppress(NotConverged):
                 return _listed(problem, condensation)[0]
@@ -396,8 +366,14 @@ def _by(
         else:
             name = None if algorithm is None else algorithm.name
             found = solve_on_contacts(problem, condensation, method, settings, name)
-    except NotConverged:
-        refuse_conflict(problem, condensation)
+    except NotConverged as error:
+        if isinstance(error.solution, Answer):  # what there was when the time was up
+            steps, name = tuple(error.history), str(error).partition(":")[0]
+            run = FrictionRun(problem, error.solution, name, meter, steps, len(steps))
+            run.candidate = replace(run.candidate, claimed=False, status=str(error))
+            run.finish()  # raises with the certified answer
+        if not time_is_up():
+            refuse_conflict(problem, condensation)
         raise
     return FrictionRun(
         problem, found.answer, found.name, meter, found.history, found.iterations, condensation=condensation

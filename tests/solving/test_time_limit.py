@@ -239,6 +239,40 @@ def test_friction_that_is_cut_short_is_not_compared_with_its_states(
     assert any(OUT_OF_TIME in failure for failure in found.certificate.failures)
 
 
+CUT_SHORT = [
+    ("plane", "ppa", "active-set", 2),
+    ("plane", "aclm", "osqp", 2),
+    ("plane", "tresca", "active-set", 1),
+    ("space", "nsgs", "active-set", 2),
+    ("space", "ppa", "active-set", 2),
+    ("space", "aclm", "osqp", 2),
+    ("space", "tresca", "osqp", 2),
+]
+
+
+@pytest.mark.parametrize(("name", "algorithm", "method", "last"), CUT_SHORT)
+def test_friction_on_condensed_contacts_has_its_answer_so_far(
+    name: str, algorithm: str, method: str, last: int, clock: Clock
+) -> None:
+    """It is that of the last step, with what is known of its error, and never passes for an answer."""
+    problem = rough_truss() if name == "plane" else on_paraboloid((5, 5, 3), friction=0.2, pushed=0.004)
+    truth, steps = cq.solve(problem), list[str]()
+
+    def told(where: str) -> None:
+        if " step " in where:
+            steps.append(where)
+            clock.passes(300.0 if len(steps) == last else 0.0)
+
+    with pytest.raises(cq.NotConverged, match="stopped at the time limit of 200 s") as caught:
+        cq.solve(fresh(problem), method, algorithm=algorithm, time_limit=200.0, progress=told)
+    found = caught.value.solution
+    error = found.displacement - truth.displacement
+    assert 0 < np.linalg.norm(error) < 0.5 * np.linalg.norm(truth.displacement)
+    assert found.normal_force.max() > 0
+    assert not found.certificate.passed
+    assert len(steps) == last
+
+
 def spheres(contacts: int = 40) -> cq.LocalProblem:
     """Contacts in space that an ill-conditioned Delassus operator couples: Newton's method takes some ten steps."""
     random = np.random.default_rng(3)

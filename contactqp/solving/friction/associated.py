@@ -13,26 +13,68 @@ r = P_K(r - u), r = (l_N, -l_T), u = (g - E_N u, E_T u - o) takes its answer to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.coulomb_law import onto_cone
-from contactqp.errors import BackendFailed, BackendMissing, NotConverged
+from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
 from contactqp.linalg.condensation import Condensation
+from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.measures import lengths
 from contactqp.model.arrays import Array, Indices, Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer
+from contactqp.solving.methods import Method, Settings
+from contactqp.solving.runs import CondensedRun
 
 # The tolerance of the conic solver, for data of size one; Newton's method refines its answer.
 TOLERANCE = 1e-11
 # The largest residual of an answer relative to the size of the data.
 MISSED = 1e-9
 MAX_STEPS = 30
+
+
+def associated_answer(
+    problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
+) -> tuple[Answer, str]:
+    """Solve the associated relaxation, in the plane by `method` and in space by Clarabel; return its answer and name.
+
+    Parameters
+    ----------
+    problem, condensation, method, settings : ContactProblem, its Condensation, Method, Settings
+
+    Raises
+    ------
+    NoEquilibrium
+        Constraints conflict, or a load drives a rigid motion that nothing resists.
+    NotConverged, BackendFailed, BackendMissing
+        The convex solver failed, or its result does not satisfy the relaxation.
+    Unsupported
+        A method that is approximate by design.
+    """
+    if not method.exact:
+        raise Unsupported(f"{method.name}: the associated relaxation takes an exact method")
+    if problem.slip_origin is not None and problem.slip_origin.shape[1] > 1:
+        try:
+            answer = relaxed_in_space(problem, condensation)
+        except NotConverged:
+            refuse_conflict(problem, condensation)
+            refuse_driven_motion(problem, condensation.rigid)
+            raise
+        return answer, "associated friction law by clarabel (not Coulomb)"
+    relaxed = relaxed_in_the_plane(problem)
+    # The program has two forces per contact, a start has one.
+    found = CondensedRun(relaxed, method, replace(settings, warm_start=None), "auto").final().answer
+    certificate = certificate_of(relaxed, found)
+    if not certificate.passed:
+        raise NotConverged(f"associated friction law by {method.name}: {'; '.join(certificate.failures)}")
+    answer = recovered(problem, found.displacement, found.normal_force, found.tie_force)
+    return answer, f"associated friction law by {method.name} (not Coulomb)"
 
 
 def relaxed_in_the_plane(problem: ContactProblem) -> ContactProblem:

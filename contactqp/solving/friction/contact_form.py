@@ -30,7 +30,7 @@ from contactqp.linalg.floating import UNRESISTED
 from contactqp.linalg.friction_states import answer_in
 from contactqp.linalg.iteration import grid_operations
 from contactqp.linalg.measures import lengths
-from contactqp.model.arrays import Array, Vector, all_finite, refuse_late
+from contactqp.model.arrays import Array, Vector, all_finite, refuse_late, stated_limit, time_is_up
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.names import describe_overload
@@ -289,7 +289,8 @@ def solve_on_contacts(
     NoEquilibrium
         The constraints conflict, or no friction holds the load, which is examined if no answer is found at first.
     NotConverged
-        No iterate's combination of open, stick and slip is an equilibrium.
+        No iterate's combination of open, stick and slip is an equilibrium; where the time is up, `solution` is the
+        answer of the last one.
     BackendFailed, BackendMissing, Unsupported, InvalidProblem
         Of the convex method.
     """
@@ -306,6 +307,8 @@ def solve_on_contacts(
             return _on_form(problem, condensation, contacts, form, start, method, left, algorithm)
         except NotConverged as error:
             failed = failed or error
+            if time_is_up():
+                break
     assert failed is not None
     raise failed
 
@@ -360,12 +363,16 @@ def _on_form(
     if not found and holds(problem, plain := contacts.plain(form, iterate), settings.tolerance):
         found, name = [plain], outcome.name  # with redundant contacts the refinement may fail
     if not found:
-        refuse_unbalanced_in_space(problem, contacts.plain(form, start))
-        raise NotConverged(
-            f"{outcome.name}: the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
-            f"{iterate.iterations} iterations{nearby}{_overload(problem, condensation, plain.normal_force)}",
-            iterate.history,
+        violated = (
+            f"the law is still violated by {iterate.error:.2g} of the typical gap or slip after "
+            f"{iterate.iterations} iterations{nearby}"
         )
+        if time_is_up():
+            late = f"{outcome.name}: stopped at the time limit of {stated_limit(None)}; {violated}"
+            raise NotConverged(late, iterate.history, plain)
+        refuse_unbalanced_in_space(problem, contacts.plain(form, start))
+        overload = _overload(problem, condensation, plain.normal_force)
+        raise NotConverged(f"{outcome.name}: {violated}{overload}", iterate.history)
     return LocalAnswer(found[-1], name, iterate.iterations, iterate.history)
 
 

@@ -28,7 +28,7 @@ from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.equilibration import nondimensional
 from contactqp.linalg.existence import DrivenMotion, refuse_driven_motion
 from contactqp.linalg.friction_states import answer_in
-from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell
+from contactqp.model.arrays import Array, Vector, all_finite, stated_limit, tell, time_is_up
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.names import describe_overload
 from contactqp.model.problem import ContactProblem
@@ -82,9 +82,11 @@ def tresca_on_bodies(
     ------
     NotConverged
         The bounds have not settled, or a bound on the way does not hold the bodies; the history has their changes.
+        Where the time is up, `solution` is the answer of the last bound.
     """
     run, name = _Run(problem, condensation, method, settings), algorithm_name("tresca", method.name)
     bound, slippery = run.first_bound()
+    last = slippery
     if at_once and slippery is not None and (found_at_once := run.at_once(slippery, bound)) is not None:
         return replace(found_at_once, name=found_at_once.name or name)
     changes: list[float] = []
@@ -103,10 +105,13 @@ def tresca_on_bodies(
                 tuple(changes),
             ) from error
         except (NotConverged, BackendFailed) as error:
+            if time_is_up() and last is not None:
+                late = f"tresca: stopped at the time limit of {stated_limit(None)} in step {step}"
+                raise NotConverged(late, tuple(changes), run.plain(last)) from error
             raise NotConverged(
                 f"tresca: the friction bounds of step {step} lead nowhere: {error}", tuple(changes)
             ) from error
-        missing = run.bound_of(found) - bound
+        missing, last = run.bound_of(found) - bound, found
         largest = np.max(abs(bound), initial=np.max(abs(missing), initial=0.0))
         change = float(np.max(abs(missing), initial=0.0) / largest) if largest > 0 else 0.0
         status = run.suggested(found, bound)
@@ -275,11 +280,14 @@ class _Run:
 
     def answer_in(self, status: Status, step: _Step) -> Answer:
         """Return the answer of a combination, refined from that of a step."""
+        return answer_in(self._problem, self._condensation, self._rows, status, self.plain(step))
+
+    def plain(self, step: _Step) -> Answer:
+        """Return the answer of a step in the units of the problem, without refinement."""
         rows = self._rows
         u = self._condensation.expand(step.x * rows.scale, self._inner)
         forces = (step.normal / rows.normal_length, (step.friction / rows.tangent_length)[:, None])
-        start = Answer(u, *forces, step.tie / rows.tie_length)
-        return answer_in(self._problem, self._condensation, rows, status, start)
+        return Answer(u, *forces, step.tie / rows.tie_length)
 
 
 def _bounded_rows(normal: Array, tangent: Array) -> Array:
