@@ -10,9 +10,11 @@ Linear programs are solved by HiGHS, as `scipy.optimize.linprog` calls it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from contactqp.model.arrays import EPS, Array, Indices, Mask, Vector, refuse_late, seconds_left
 
@@ -157,8 +159,9 @@ def _independent(W: Array, rows: Indices) -> list[int]:
 
 # Of a row that is left after its projection on active ones, in the measure of H, this part and less is rounding.
 DEPENDS = 1e-9
-# Rates of forces beneath this part of the largest do not fall; and steps after which rounding of x is taken back.
-STANDS, STEPS_BETWEEN = 1e-12, 20
+# Rates of forces beneath this part of the largest do not fall; and steps after which rounding of x is taken back; and
+# columns that are reflected at once.
+STANDS, STEPS_BETWEEN, COLUMNS = 1e-12, 20, 16
 
 
 class StrictProgram:
@@ -183,8 +186,9 @@ class StrictProgram:
     def __init__(self, stiffness: Array, force: Vector, rows: Array, limit: Vector, tied: Mask) -> None:
         from scipy.linalg import solve_triangular
 
-        self._solve = solve_triangular
+        self._solve = partial(solve_triangular, check_finite=False)
         self._load, self._rows, self._limit, self._tied = force, rows, limit, tied
+        self._entries = sp.csr_matrix(rows)
         self._root = np.linalg.cholesky(stiffness)
         self._J, self._R, self.active = np.zeros((0, 0)), np.zeros(stiffness.shape), list[int]()
         self.force, self.conflicting, self.ended = np.zeros(0), set[int](), False
@@ -210,7 +214,7 @@ class StrictProgram:
         for step in steps:
             if step % STEPS_UNTIMED == 0:
                 refuse_late("contacts open and close one by one")
-            excess = np.where(self._tied, 0.0, (self._rows @ x - self._limit) / length - tolerance)
+            excess = np.where(self._tied, 0.0, (self._entries @ x - self._limit) / length - tolerance)
             excess[[*self.active, *self.conflicting]] = 0.0
             worst = int(np.argmax(excess))
             if self.ended or not excess[worst] > 0:
@@ -260,7 +264,7 @@ class StrictProgram:
             self.force, pushed = self.force - step * rate, pushed + step
             x = x if depends else x - step * (self._J[:, q:] @ along[q:])
             if step == full:
-                self._join(row)
+                self._join(row, along)
                 self.force = np.append(self.force, pushed)
                 return x
             opened = int(falling[np.argmin(ratios)])
@@ -275,9 +279,9 @@ class StrictProgram:
         force = self._solve(R, free[:q] - held) if q else np.zeros(0)
         return self._J @ np.concatenate([held, free[q:]]), force
 
-    def _join(self, row: int) -> None:
-        """Make a row active, if it does not depend on those that are, by a reflection of J."""
-        along, q = self._J.T @ self._rows[row], len(self.active)
+    def _join(self, row: int, along: Vector) -> None:
+        """Make a row active, if it does not depend on those that are, by a reflection of J; `along` is J' times it."""
+        q = len(self.active)
         left = float(np.linalg.norm(along[q:]))
         if not left > DEPENDS * float(np.linalg.norm(along)):
             return
@@ -285,7 +289,9 @@ class StrictProgram:
         end = -np.copysign(left, normal[0])
         normal[0] -= end
         normal /= np.linalg.norm(normal)
-        self._J[:, q:] -= np.outer(2.0 * (self._J[:, q:] @ normal), normal)
+        turned = 2.0 * (self._J[:, q:] @ normal)
+        for first in range(0, len(normal), COLUMNS):  # in pieces that stay in the cache
+            self._J[:, q + first : q + first + COLUMNS] -= np.outer(turned, normal[first : first + COLUMNS])
         self._R[:q, q], self._R[q, q] = along[:q], end
         self.active.append(row)
 
