@@ -142,6 +142,33 @@ def test_an_axisymmetric_press_fit_has_the_force_of_lame(tmp_path: pathlib.Path,
     assert "out of balance" not in found.summary()
 
 
+@pytest.mark.parametrize("element", ["quad8", "tri6", "quad4"])
+def test_a_shaft_that_is_widened_to_a_radius_presses_on_its_hub_as_lame_has_it(
+    tmp_path: pathlib.Path, element: str
+) -> None:
+    """The bore of a shaft of 5 to 20 mm is widened by 0.02 mm in a hub of 20 to 40 mm: one tube in plane strain."""
+    deck = Deck("CAX")
+    for name, inner, width in (("HUB", 20.0, 20.0), ("SHAFT", 5.0, 15.0)):
+        deck.body(name, cq.rectangle(width, 4.0, (12, 2), element, corner=(inner, 0.0)), section="")
+    deck.surface("SLAVE", "HUB", "left")
+    deck.surface("MASTER", "SHAFT", "right")
+    deck.pair(NODES, STIFF[NODES])
+    held = [(name, side) for name in ("HUB", "SHAFT") for side in ("bottom", "top")]
+    for name, side in held:
+        deck.nset(name + side.upper(), name, side)
+    deck.nset("BORE", "SHAFT", "left")
+    deck.lines += ["*BOUNDARY", *(f"{name}{side.upper()}, 2, 2" for name, side in held)]
+    deck.step += ["*BOUNDARY", "BORE, 1, 1, 0.02"]
+    found = cq.crosscheck(write(tmp_path, deck.text()), error_tolerance=2e-3)
+    assert found.passed, found.summary()
+    # Of u = A r + B / r with no pressure at 40 mm and u = 0.02 mm at 5 mm the pressure at 20 mm.
+    of_a, of_b = 210_000 / (1.3 * 0.4), 210_000 / 1.3
+    A, B = np.linalg.solve([[5.0, 1 / 5.0], [of_a, -of_b / 40.0**2]], [0.02, 0.0])
+    pressure = of_b * B / 20.0**2 - of_a * A
+    coarse = 2e-2 if element == "quad4" else 3e-3
+    assert found.pairs[0].reference_resultant == pytest.approx(pressure * 2 * np.pi * 20.0 * 4.0, rel=coarse)
+
+
 @pytest.mark.slow
 def test_a_tie_moves_as_in_calculix(tmp_path: pathlib.Path) -> None:
     text = two_blocks("hex8", NODES, STIFF[NODES])

@@ -85,22 +85,22 @@ class DeckAssembly:
         return sp.csc_array(sp.coo_array((data, (rows, columns)), shape=(self.topology.size,) * 2))
 
     def full_radii(self, displacement: Vector) -> Vector:
-        """Return u with the radial displacements of a quadratic axisymmetric mesh, of which CalculiX prints means.
+        """Return u with the radial displacements of an axisymmetric mesh, of which CalculiX prints means.
 
         It turns these elements into a wedge from -1 to 1 degree, and prints means along x over its layers: of both
-        sides at the middle of an edge, which is cos(1 degree) of the radial displacement, and at a corner of both sides
-        and four times the middle. The difference would be taken for forces of 1e-4 of the elements' stiffness.
-        Prescribed displacements stay as they are stated.
+        sides, which is cos(1 degree) of the radial displacement, and at a corner of a quadratic element of both sides
+        and four times the middle. The difference would be taken for forces of 1e-4 of the elements' stiffness, and for
+        supports that moved by 1e-4 of what is prescribed.
         """
         layers, u = np.ones(len(self.topology.active)), displacement.copy()
         side = np.cos(np.radians(1.0))
         for group in self.topology.groups:
             corners = group.kind.corners
-            if group.model == "axisymmetric" and group.nodes.shape[1] > corners:
-                layers[group.nodes[:, corners:]] = side
-                layers[group.nodes[:, :corners]] = (2 + side) / 3
-        radial = self.topology.unknowns[:, 0]
-        u[radial] /= np.where(np.isnan(self.prescribed[radial]), layers, 1.0)
+            if group.model == "axisymmetric":
+                layers[group.nodes] = side
+                if group.nodes.shape[1] > corners:
+                    layers[group.nodes[:, :corners]] = (2 + side) / 3
+        u[self.topology.unknowns[:, 0]] /= layers
         return u
 
     def with_thicknesses(self, displacement: Vector) -> Vector:
