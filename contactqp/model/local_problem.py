@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -207,11 +208,11 @@ class LocalProblem(ReadOnly):
     @cached_property
     def own_compliances(self) -> Array:
         """Return the largest |entry| of each contact's own block of W, along the normal and the tangents (2, m)."""
-        entries, d = self.delassus.tocoo(), self.dimension
-        kind = np.minimum(entries.row % d, 1)
-        own = (entries.row // d == entries.col // d) & (kind == np.minimum(entries.col % d, 1))
-        largest = np.zeros((2, self.contacts))
-        np.maximum.at(largest, (kind[own], entries.row[own] // d), abs(entries.data[own]))
+        W, d, largest = self.delassus, self.dimension, np.zeros((2, self.contacts))
+        tangents = product(range(1, d), repeat=2)
+        for row, column in ((0, 0), *tangents):
+            of_kind = largest[min(row, 1)]
+            np.maximum(of_kind, abs(W.diagonal(column - row)[min(row, column) :: d]), out=of_kind)
         return read_only(largest)
 
     @property

@@ -52,7 +52,7 @@ class _Sweeps:
             self._stiffness = np.linalg.inv(form.R + np.diag(self._regular))
             W = W - form.V @ self._stiffness @ form.V.T
         self._W = sp.csr_array(W) if form.sparse else W
-        self._blocks = _own_blocks(self._W, form.m, form.d)
+        self._blocks = own_blocks(self._W, form.m, form.d)
         largest = np.linalg.norm(self._blocks, axis=(1, 2))
         self._rho = 1.0 / np.where(largest > 0, largest, 1.0)
         self._colours = [(colour, self._rows(colour)) for colour in colours(self._W, form.m, form.d)]
@@ -150,9 +150,15 @@ def projected(own: Array, outer: Array, mu: Vector, start: Array, rho: Vector) -
 
 def colours(W: Array, m: int, d: int) -> list[Indices]:
     """Return groups of uncoupled contacts, found greedily."""
-    entries = sp.coo_array(W)
-    pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))
-    pairs = sp.csr_array(pairs + pairs.T)
+    if not sp.issparse(W):
+        coupled = (W != 0).reshape(m, d, m, d).any(axis=(1, 3))
+        if coupled.all():
+            return [np.array([i]) for i in range(m)]
+        pairs = sp.csr_array(coupled | coupled.T)
+    else:
+        entries = sp.coo_array(W)
+        pairs = sp.csr_array((np.ones(entries.nnz), (entries.row // d, entries.col // d)), shape=(m, m))
+        pairs = sp.csr_array(pairs + pairs.T)
     colour = np.full(m, -1)
     for i in range(m):
         taken = set(colour[pairs.indices[pairs.indptr[i] : pairs.indptr[i + 1]]].tolist())
@@ -160,8 +166,10 @@ def colours(W: Array, m: int, d: int) -> list[Indices]:
     return [np.flatnonzero(colour == c) for c in range(int(colour.max(initial=-1)) + 1)]
 
 
-def _own_blocks(W: Array, m: int, d: int) -> Array:
+def own_blocks(W: Array, m: int, d: int) -> Array:
     """Return the diagonal blocks (m, d, d)."""
+    if not sp.issparse(W):
+        return np.asarray(W.reshape(m, d, m, d)[np.arange(m), :, np.arange(m)])
     entries = sp.coo_array(W)
     own = entries.row // d == entries.col // d
     blocks = np.zeros((m, d, d))
