@@ -212,7 +212,7 @@ def _from_solution(
     strained = strain if strain > least else scale
     largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
     largest = largest if largest > least else 0.0
-    change, missed, (by_residual, by_strain, back) = _missed_forces(problem, answer, held, unique.forces, definite)
+    change, missed, (by_residual, by_strain, back) = _missed_forces(problem, answer, held, unique.forces)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     away = np.inf if unique.displacement else AWAY * imposed_work(problem, solution)  # along a free motion only
@@ -255,20 +255,16 @@ def _from_solution(
 
 
 def _missed_forces(
-    problem: ContactProblem, answer: Answer, held: ClosedState, unique: bool, definite: bool
+    problem: ContactProblem, answer: Answer, held: ClosedState, unique: bool
 ) -> tuple[Vector, float, tuple[Vector, Vector, float]]:
     """Return |l - L| (m,), the norm of what all forces differ by, and `_force_errors`.
 
-    Redundant rows may have other forces, with the same resultant, but not rows that do not depend on others, which are
-    looked at where K is `definite`.
+    Redundant rows may have other forces, with the same resultant, but not rows that do not depend on others.
     """
     change = (extend(answer.normal_force) - held.answer.normal_force).double()
     turned = (extend(answer.tie_force) - held.answer.tie_force).double()
     missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    unknown = np.full(len(change) + len(turned), np.inf)
-    errors = unknown, unknown[: len(change)], 0.0
-    if unique or definite:
-        errors = _force_errors(problem, held, unique)
+    errors = _force_errors(problem, held, unique)
     if not unique:
         resultant = float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned))
         alone = abs(turned) + errors[0][problem.contacts :]

@@ -170,3 +170,18 @@ def test_a_chain_that_only_ties_hold_is_compared_by_its_response_however_large_t
     for off in ([1.25, 1.0], [1.0, 1.001], [1.0, -1.0]):
         true = min(truth.errors(u, pressed * off, held).readings["force_error"])
         assert force_error(problem, u, pressed * off, held) >= (1 - 1e-6) * true > 0
+
+
+def test_forces_of_ties_without_stiffness_are_judged_beside_redundant_contacts_too() -> None:
+    """The second and the fourth contact share a force; forces of the ties are determined by what they hold."""
+    K = np.diag([1.25, 14.0, 0.0, 0.0, 0.0])
+    rows = np.eye(5)[[0, 1, 4, 1]] * np.array([[-1.0], [1.0], [1.0], [1.0]])
+    tie = np.array([[0.5, -0.5, -0.5, 2.0, 0.0], [-0.5, 0.5, 1.0, -0.5, -1.0], [0.5, -0.5, -0.5, 2.0, 0.0]])
+    tie[2, 2] += 2.0**-23
+    u, pressed, held = np.array([0.0, 0.0, -0.625, -0.625, -0.125]), np.array([0.125, 3.5, 0, 0]), [-0.75, 0.625, 0.25]
+    gap = rows @ u + np.array([0.0, 0.0, 0.5, 0.0])
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, gap, tie=tie, tie_value=tie @ u)
+    shared = np.array([0.125, 1.5, 0.0, 2.0])
+    assert force_error(problem, u, shared, np.array(held)) <= 1e-9
+    off = np.array([-7.5e-4, -7.5e-4 * 2.0**-24, 7.5e-4])
+    assert force_error(problem, u, shared, np.array(held) + off) >= 1e-6
