@@ -267,7 +267,11 @@ def of_penetration(
         Neither displacement exists, as nearly dependent contacts conflict by more than rounding of the refinement.
     """
     closed = np.union1d(on_set.saddle.closed, np.flatnonzero(excess)).astype(np.intp)
-    measure = np.where(length > 0, length, 1.0)[closed]
+    # A grazing contact at no distance, as a bound of zero, has no length but rounding: the size of the answer is one.
+    moved = condensation.rigid.without_rigid_part(on_set.doubles.displacement, problem.diagonal)
+    whole = of_rows(problem, problem.normal, intrinsic_size(problem, on_set.doubles, moved))
+    measure = np.maximum(length, whole)[closed]
+    measure[measure == 0] = 1.0
     largest = float(np.max(excess[closed] / measure))
 
     def left_by(displacement: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,22 @@ def test_what_the_last_place_of_a_gap_decides_is_not_proven(exponent: int) -> No
     assert not certificate.proven
     assert certificate.energy_error is None
     assert "conflict by" in certificate.reasons[0]
+
+
+@pytest.mark.parametrize("length", [1.0, 2.0**-10, 2.0**20])
+def test_a_conflict_by_rounding_is_stated_as_one_beside_a_bound_of_zero(length: float) -> None:
+    """At y = 0 two slopes leave x <= 0.48 less a rounding and x >= 0.48: no length but rounding meets at the floor."""
+    gap = length * np.array([0.33599999999999997, -0.048, 0.0, 0.0])
+    rows = [[0.7, 0.6], [-0.1, 0.4], [-1.0, 0.0], [0.0, -1.0]]
+    problem = cq.ContactProblem(np.diag([0.0, 3.0 / length]), [0.007, -0.674], rows, gap)
+    with pytest.raises(cq.NoEquilibrium):
+        cq.exact(problem)
+    certificate = cq.solve(problem).certificate
+    assert certificate.passed
+    assert not certificate.proven
+    stated = re.search(r"conflict by (\S+) of their lengths", certificate.reasons[0])
+    assert stated is not None
+    assert 0 < float(stated[1]) < 1e-15
 
 
 @pytest.mark.parametrize("scale", [1.0, 3.0, 1 / 7])
