@@ -29,9 +29,9 @@ The pair (v, l) is refined on the candidate's own set, or by `admissible_pair`; 
 
 Rounding allowance: v - w and the distances are formed from residuals in extended precision. Their refinement contracts
 by a measured factor q; a last step of size s leaves about s q/(1-q), and 1e4 times what that can make in the energy
-norm is added. Where q >= 1/2 on every set, nothing is proven. The uncertainty by gaps or forces of rounding size is
-added, and the rounding of |v_i|_K, as v_i is long where rows are nearly parallel. If bodies float, the worse of the
-norms with and without rounding of K along rigid motions is used. This estimates rounding and does not enclose it.
+norm is added. If q >= 1/2 on all sets, nothing is proven. Added are the uncertainty by gaps and forces of rounding size
+and the rounding of |v_i|_K, large where rows are nearly parallel. If bodies float, the worse of the norms with and
+without rounding of K along rigid motions is used. This estimates rounding and does not enclose it.
 """
 
 from __future__ import annotations
@@ -187,8 +187,6 @@ def error_bounds(
 def _condensed(problem: ContactProblem, answer: Answer, residual: Residuals, condensation: Condensation) -> Bounds:
     if len(condensation.retained) > LARGEST:
         return no_bounds(f"{len(condensation.retained)} condensed unknowns: too many for dense systems")
-    for saddle in condensation.saddles.values():  # a verdict does not depend on what was refined before
-        saddle.contraction = None
     try:
         pair = admissible_pair(problem, answer, residual, condensation)
     except NotConverged:
@@ -219,9 +217,12 @@ def admissible_pair(
     """
     compliance = condensation.delassus.compliance[: problem.contacts]
     first = closed_contacts(problem, compliance, answer.displacement, answer.normal_force)
+    believed = believed_sets(problem, answer, compliance) if problem.contacts + problem.ties > 1 else ()
+    if believed and not saddle_point(condensation, believed[0]).regular:  # what nearly parallel rows share needs every
+        for saddle in condensation.saddles.values():  # sweep, and a verdict does not depend on what was refined before
+            saddle.contraction = None
     found, taken = _holding(problem, condensation, first, CORRECTIONS, answer, residual)
-    sets = () if found is not None else believed_sets(problem, answer, compliance)
-    for closed, corrections in (*((closed, CORRECTIONS) for closed in sets), (first, LAST_CORRECTIONS)):
+    for closed, corrections in (*((closed, CORRECTIONS) for closed in believed), (first, LAST_CORRECTIONS)):
         if found is not None or taken >= affordable_systems(problem):
             break
         found, systems = _holding(problem, condensation, closed, corrections, answer, residual)
@@ -297,10 +298,9 @@ def _undecided(problem: ContactProblem, condensation: Condensation, on_set: OnSe
         whole = of_rows(problem, problem.normal, intrinsic_size(problem, doubles, elastic))
         length = np.where(np.isfinite(length), length, whole)
     excess = np.where(-on_set.gaps > ZERO_GAP * length, -on_set.gaps, 0.0)
-    undecided, touching = 0.0, (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
-    same = np.array_equal(touching, on_set.saddle.closed)
-    if (on_set.saddle if same else saddle_point(condensation, touching)).redundant:
-        undecided = of_noise(problem, condensation, on_set, length)
+    touching = (abs(on_set.gaps) <= WITHIN_ROUNDING * length).nonzero()[0]
+    saddle = on_set.saddle if np.array_equal(touching, on_set.saddle.closed) else saddle_point(condensation, touching)
+    undecided = of_noise(problem, condensation, on_set, length) if saddle.redundant else 0.0
     if excess.any():
         undecided += of_penetration(problem, condensation, on_set, excess, length)
     return undecided
