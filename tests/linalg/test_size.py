@@ -153,7 +153,7 @@ def test_what_memory_does_not_hold_is_refused_in_one_line(monkeypatch: pytest.Mo
     def full(*_: object, **__: object) -> None:
         raise MemoryError("Unable to allocate 244. MiB for an array with shape (4000, 8000)\nand more")
 
-    monkeypatch.setattr(delassus, "_unit", full)
+    monkeypatch.setattr(delassus, "unit_rows", full)
     monkeypatch.setattr(errors, "free_memory", lambda: 2**30)
     words = (
         r"memory is full: Unable to allocate 244. MiB .*8000\), 1.0 GiB are free: free memory, or take fewer contacts"
