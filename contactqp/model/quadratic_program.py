@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from contactqp.errors import ContactQPError, InvalidProblem
 from contactqp.model.arrays import Vector, refuse_places_outside
 from contactqp.model.names import read_names
-from contactqp.model.problem_data import read_array
+from contactqp.model.problem_data import BUCKLED, read_array
 
 Problem = TypeVar("Problem")
 Rows = list[tuple[Any, Vector]]  # rows and their limits, block by block
@@ -183,6 +183,7 @@ _WORDS = (
     ("; hold it by a support, a tie or a contact, or check the sign of the load", "; bound it, or check the sign of q"),
     ("a regular stiffness", "a regular P"),
     ("the stiffness", "P"),
+    (BUCKLED, ""),
 )
 
 

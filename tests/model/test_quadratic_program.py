@@ -117,3 +117,12 @@ def test_numbers_of_a_program_are_refused_by_their_names_in_it(changed: dict[str
     program = {"P": np.eye(2), "q": [1.0, 0.0], "G": [[1.0, 0.0]], "h": [1.0]}
     with pytest.raises(cq.InvalidProblem, match=message):
         cq.ContactProblem.from_qp(**(program | changed))
+
+
+def test_an_indefinite_program_is_refused_without_a_word_of_structures():
+    curved = [[2.0, 1.0, 1.0], [1.0, 2.0, -1.9], [1.0, -1.9, 2.0]]
+    with pytest.raises(cq.InvalidProblem, match=r"^P: expected positive semidefinite") as refused:
+        cq.ContactProblem.from_qp(curved, np.ones(3), lb=np.zeros(3))
+    assert "buckling" not in str(refused.value)
+    with pytest.raises(cq.InvalidProblem, match="beyond its buckling load"):
+        cq.ContactProblem(curved, np.ones(3), np.eye(3), np.zeros(3))
