@@ -149,8 +149,8 @@ def springs(problem: ContactProblem, closed: Mask, beta: Vector) -> tuple[Matrix
         spring = E.T @ sp.diags(beta[closed]) @ E
         spring = spring if sp.issparse(problem.stiffness) else spring.toarray()
     else:
-        scaled = np.sqrt(beta[closed])[:, None] * E.toarray()
-        spring = scaled.T @ scaled
+        rows = E.toarray()
+        spring = (rows.T * beta[closed]) @ rows
     K = problem.stiffness + spring
     return K, problem.load + E.T @ (beta[closed] * problem.gap[closed])
 
