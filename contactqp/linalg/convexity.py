@@ -385,13 +385,13 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     held : (m,) mask of the closed contacts
     """
     stiff, loose = np.flatnonzero(problem.diagonal), np.flatnonzero(problem.diagonal == 0)
-    if not 0 < loose.size * problem.dimension <= MOST_ROWS**2:
-        return None
-    motions = motions if motions.size else np.eye(problem.dimension)[:, loose]
+    if not motions.size and 0 < loose.size * problem.dimension <= MOST_ROWS**2:
+        motions = np.zeros((problem.dimension, loose.size))
+        motions[loose, np.arange(loose.size)] = 1.0
     near = np.flatnonzero(held & np.isfinite(problem.gap))
     rows = sp.csr_array(sp.vstack([problem.normal[near], problem.tie]))
     count, few = rows.shape[0] + motions.shape[1], max(rows.nnz, motions.size) <= MOST_ROWS**2
-    if problem.frictional or not (count <= MOST_ROWS and few and problem.load.any()):
+    if problem.frictional or not (motions.size and count <= MOST_ROWS and few and problem.load.any()):
         return None
     moving = [z for z in _simplest(motions, problem.own_scale) if not any(z[j] for j in stiff)]
     felt = [[_sum_of(rows.data[a:b], z, rows.indices[a:b]) for a, b in pairwise(rows.indptr)] for z in moving]
