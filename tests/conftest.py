@@ -17,6 +17,8 @@ from zlib import crc32
 
 import pytest
 
+from tests.clocks import Clock
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # pytest-xdist hands the width of its terminal on: what is printed into a pipe would follow it.
 os.environ.pop("COLUMNS", None)
@@ -24,6 +26,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 pytest_plugins = ["pytester"]
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Put a clock that a test can advance in place of the machine's."""
+    clock = Clock()
+    monkeypatch.setattr("time.perf_counter", clock)
+    return clock
 
 
 class Collecting:

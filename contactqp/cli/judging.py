@@ -24,7 +24,7 @@ from contactqp.cli.output import (
     whereabouts,
 )
 from contactqp.errors import InvalidProblem, SceneError
-from contactqp.model.arrays import telling
+from contactqp.model.arrays import telling, within_time
 
 
 @click.command("check", short_help="Judge somebody else's answer to a problem.")
@@ -294,8 +294,14 @@ def explain_command(case: str, no_solve: bool, time_limit: float, as_json: bool)
     show_default=True,
     help="What proposes the contact set.",
 )
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Of the whole, proof included. Default: none.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
-def oracle_command(case: str, method: str, as_json: bool) -> None:
+def oracle_command(case: str, method: str, time_limit: float | None, as_json: bool) -> None:
     """Print the exact answer of CASE, in rational numbers or enclosed: multipliers for tests in any language.
 
     CASE is a case file (- is standard input), whose numbers are read exactly (1 mm is 1/1000 m), or a problem in a file
@@ -304,7 +310,7 @@ def oracle_command(case: str, method: str, as_json: bool) -> None:
     from contactqp.oracle.exact.exact import exact, read_case, tie_names
     from contactqp.oracle.exact.exact_solution import answer_data, print_answer
 
-    with whereabouts() as shown, telling(shown):
+    with within_time(time_limit), whereabouts() as shown, telling(shown):
         asked = read_case(case)
         answer = exact(asked, method)
     ties, title = tie_names(asked, answer.problem.ties), str(getattr(asked, "title", case))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from contactqp.errors import BackendMissing
-from contactqp.model.arrays import EPS, Array
+from contactqp.model.arrays import EPS, Array, refuse_late
 
 try:
     from flint import fmpq, fmpq_mat, nmod_mat
@@ -155,6 +155,7 @@ def row_basis(a: fmpq_mat) -> list[int]:
 
 def null_space(a: fmpq_mat) -> fmpq_mat:
     """Return a rational basis (n, r) of the null space."""
+    refuse_late("the null space of a matrix was found in rational numbers")
     n = a.ncols()
     for prime in PRIMES:
         rows, leading = _profile(a, prime)
@@ -176,6 +177,7 @@ def null_space(a: fmpq_mat) -> fmpq_mat:
 
 def solve_any(a: fmpq_mat, right: fmpq_mat) -> tuple[fmpq_mat, bool] | None:
     """Return a solution of a x = right (columns) and whether it is unique; None if there is none."""
+    refuse_late("a linear system was solved in rational numbers")
     n = a.ncols()
     for prime in PRIMES:
         rows, leading = _profile(a, prime)
@@ -233,6 +235,7 @@ def is_semidefinite(K: fmpq_mat) -> bool:
     floating-point Cholesky factorisation of K_JJ - s I with s a bound of its rounding (Rump 2006, BIT 46, 433); if that
     fails, the motions of negligible energy decide, or at last the leading minors.
     """
+    refuse_late("the stiffness was proven to be positive semidefinite")
     n = K.nrows()
     kept = next(
         (

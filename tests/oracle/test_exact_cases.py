@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import pathlib
 from fractions import Fraction as F
+from typing import Any
 
 import flint
 import numpy as np
 import pytest
 
 import contactqp as cq
+from contactqp.oracle.exact import enclosed_answer, rational_answer
 from contactqp.oracle.exact.enclosed_scene import root
 from contactqp.scene.answers import Answer, Instant
 from contactqp.scene.building import build
 from contactqp.scene.claims import Expectation
 from contactqp.scene.scene import Scene
+from tests.clocks import Clock
 from tests.shipped_cases import SCENES
 
 CASES = pathlib.Path(__file__).parents[2] / "cases"
@@ -290,3 +293,35 @@ def test_a_printed_matrix_that_is_not_symmetric_is_symmetrised_and_said_to_be(tm
     assert any("asymmetric as given, by 1.67e-07" in note for note in answer.notes)
     file.write_text((case % "1 m").replace("5.000001", "5"))
     assert cq.exact(cq.load_scene(file)).notes == ()
+
+
+SPRINGS = cq.ContactProblem(np.diag([2.0, 4.0]), [3.0, 1.0], np.eye(2), [0.5, 1.0])
+PAD = cq.ContactProblem([[1.0, 0.0], [0.0, 2.0]], [5.0, -10.0], [[0.0, -1.0]], [0.5], [[1.0, 0.0]], 0.25)
+LATE = {
+    "rational": (lambda **limit: cq.exact(SPRINGS, **limit), "the stiffness was proven to be positive semidefinite"),
+    "enclosed": (lambda **limit: cq.exact(SPRINGS, enclose=True, **limit), "round 1 of the refinement"),
+    "friction": (lambda **limit: cq.exact(PAD, **limit), "a linear system was solved in rational numbers"),
+    "roots": (lambda **limit: cq.exact(cq.load_scene(CASES / "truss_floor.toml"), **limit), "the answer was enclosed"),
+}
+
+
+@pytest.mark.parametrize("name", LATE)
+def test_the_proof_ends_with_the_time_limit_of_the_call(
+    name: str, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The answer in floats takes all the time, and is what the error has."""
+    run, what = LATE[name]
+    run(time_limit=100.0)
+
+    def slowly(*arguments: Any, **options: Any) -> cq.Solution:
+        found = cq.solve(*arguments, **options)
+        clock.passes(300.0)
+        return found
+
+    for module in (enclosed_answer, rational_answer):
+        monkeypatch.setattr(module, "solve", slowly)
+    with pytest.raises(cq.NotConverged, match=f"stopped at the time limit of 100 s, before {what}") as caught:
+        run(time_limit=100.0)
+    assert caught.value.solution.certificate.passed
+    with pytest.raises(cq.InvalidProblem, match="time_limit"):
+        run(time_limit=-1.0)

@@ -116,6 +116,13 @@ def test_what_it_cannot_do_is_one_line(capsys: pytest.CaptureFixture[str], name:
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["bar_wall", "truss_floor", "truss_friction"])
+def test_the_time_limit_is_that_of_the_proof(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    code, out, err = run(capsys, "oracle", CASES / f"{name}.toml", "--time-limit", 1e-9)
+    assert (code, out) == (1, "")
+    assert "stopped at the time limit of 1e-09 s" in err
+
+
 def test_no_equilibrium_is_exit_1_and_proven(capsys: pytest.CaptureFixture[str], tmp_path: pathlib.Path) -> None:
     case = tmp_path / "pushed.toml"
     case.write_text(PUSHED_OFF)

@@ -27,32 +27,13 @@ from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.blocks_in_space import fresh, on_paraboloid
+from tests.clocks import Clock
 from tests.solving.friction.problems import rough_truss
 from tests.solving.friction.space import block
 
 CHAIN = sp.diags([-1.0, 3.0, -1.0], [-1, 0, 1], shape=(2 * dense.BLOCK, 2 * dense.BLOCK), format="csr")
 NONE, MANY = np.zeros(0, dtype=np.intp), np.arange(dense.BLOCK + 1)
 PROBLEMS = {"frictionless": on_paraboloid((5, 5, 3)), "plane": rough_truss(), "space": block([1.0, 0.0])}
-
-
-class Clock:
-    """The clock of the machine, on which time passes faster where a test says so."""
-
-    def __init__(self) -> None:
-        self._clock, self._ahead = time.perf_counter, 0.0
-
-    def __call__(self) -> float:
-        return self._clock() + self._ahead
-
-    def passes(self, seconds: float) -> None:
-        self._ahead += seconds
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr("contactqp.model.arrays.time.perf_counter", clock)
-    return clock
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -17,7 +17,7 @@ from contactqp.model.arrays import EPS, Indices, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, FreeMotion, Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Floats, Fractions, Parts
-from contactqp.oracle.exact.rational_answer import Asked, symmetrised
+from contactqp.oracle.exact.rational_answer import Asked, proof_of, symmetrised
 from contactqp.oracle.exact.refinement import (
     MOST_WORK,
     SAFE,
@@ -272,17 +272,22 @@ def prove_by_enclosure(asked: Asked) -> ExactSolution:
         raise Unsupported(f"{large} take too long or not to fit into the free memory; {cure}")
     try:
         first = solve(problem, asked.method, **asked.options)
-        if not is_dense(problem.stiffness_rows) and factors_take(problem, OVERESTIMATED * MOST_WORK):
-            text = f"{large} take more than the {MOST_WORK:.0e} multiplications whose rounding is bounded; {cure}"
-            raise NotCertified(text, first)
-        held = hold(problem, first) if first.free_motions else None
-        refined = refine(problem, asked.method, first=first, **asked.options) if held is None else None
     except NoEquilibrium as error:
         raise NoEquilibrium(f"{error} (checked in sums of floats in extended precision)", error.proof) from None
+    with proof_of(first):
+        return _enclosed(asked, first, large, cure)
+
+
+def _enclosed(asked: Asked, first: Solution, large: str, cure: str) -> ExactSolution:
+    problem = asked.problem
+    if not is_dense(problem.stiffness_rows) and factors_take(problem, OVERESTIMATED * MOST_WORK):
+        text = f"{large} take more than the {MOST_WORK:.0e} multiplications whose rounding is bounded; {cure}"
+        raise NotCertified(text, first)
+    held = hold(problem, first) if first.free_motions else None
     if held is not None:
         refined, found = _held_enclosure(held, asked)
     else:
-        assert refined is not None
+        refined = refine(problem, asked.method, first=first, **asked.options)
         found = enclose(refined)
     notes = symmetrised(problem)
     notes += () if held is None else (carried(held, refined, found.tie_force),)

@@ -21,9 +21,10 @@ from flint import arb, arb_mat
 from contactqp.elements.scalars import irrational_roots
 from contactqp.errors import NotCertified, Unsupported
 from contactqp.linalg.rational import fraction, from_fraction, sum_of_products
+from contactqp.model.arrays import refuse_late
 from contactqp.model.solution import Solution
 from contactqp.oracle.exact.exact_solution import ExactSolution, Fractions, Parts, rounded_up
-from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proposal, symmetrised
+from contactqp.oracle.exact.rational_answer import PROVEN_FRICTION, Asked, proof_of, proposal, symmetrised
 from contactqp.scene.building import ExactProblem, exact_problem
 
 if TYPE_CHECKING:
@@ -180,8 +181,14 @@ def enclose_scene(scene: Scene, asked: Asked) -> ExactSolution:
     solution, error = proposal(asked)
     if solution is None:
         raise error if error is not None else Unsupported("exact: floats propose nothing")
-    undecided = ""
+    with proof_of(solution):
+        return _in_balls(scene, asked, solution)
+
+
+def _in_balls(scene: Scene, asked: Asked, solution: Solution) -> ExactSolution:
+    undecided, problem = "", asked.problem
     for precision in PRECISIONS:
+        refuse_late(f"the answer was enclosed with {precision} bits")
         with flint.ctx.workprec(precision), irrational_roots(root):
             try:
                 balls = _balls(exact_problem(scene))

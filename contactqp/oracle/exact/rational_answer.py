@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,6 +73,17 @@ def proposal(asked: Asked) -> tuple[Solution | None, ContactQPError | None]:
         return None, error
 
 
+@contextmanager
+def proof_of(solution: Solution | None) -> Iterator[None]:
+    """Add the answer in floats to the error of a proof that did not end."""
+    try:
+        yield
+    except NotConverged as error:
+        if error.solution is None:
+            error.solution = solution
+        raise
+
+
 def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
     """Return the exact answer.
 
@@ -79,6 +91,13 @@ def prove(data: RationalProblem, asked: Asked) -> ExactSolution:
     not end; Unsupported: the stiffness in its exact numbers is indefinite, or friction that is not covered.
     """
     solution, error = proposal(asked)
+    with proof_of(solution):
+        return _proven(data, asked, solution, error)
+
+
+def _proven(
+    data: RationalProblem, asked: Asked, solution: Solution | None, error: ContactQPError | None
+) -> ExactSolution:
     if data.frictional:
         found = settle_with_friction(data, Proposal(asked.problem, solution))
         if found is None:

@@ -44,6 +44,7 @@ from contactqp.linalg.rational import (
     take_columns,
     zeros,
 )
+from contactqp.model.arrays import refuse_late
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf
 from contactqp.solving.friction.exact_enumeration import finite_gap
@@ -270,6 +271,7 @@ def lemke(M: fmpq_mat, p: fmpq_mat, max_pivots: int) -> tuple[list[fmpq], int]:
     row = min(range(size), key=lambda i: [table[i][right], *table[i][:size]])
     entering = z0
     for count in range(1, max_pivots + 1):
+        refuse_late(f"pivot {count} of Lemke's method")
         leaving = basis[row]
         _pivot(table, row, entering)
         basis[row] = entering

@@ -24,7 +24,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified, NotConverged, Unsupported
-from contactqp.model.arrays import EPS, Array, Indices, Vector, tell
+from contactqp.model.arrays import EPS, Array, Indices, Vector, refuse_late, tell
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import AnswerOf, Solution
 from contactqp.solving.solve import solve
@@ -231,6 +231,7 @@ def _forming(matrix: Any, shift: float) -> float:
 def _left_out(matrix: Any, shift: float) -> float | None:
     """Return a bound of |R|_inf, None if the shifted matrix is not found to be positive definite."""
     size = matrix.shape[0]
+    refuse_late("the least eigenvalue of the stiffness was bounded")
     shifted = sp.csc_matrix(matrix - shift * sp.identity(size, format="csc"))
     forming = _forming(matrix, shift)
     if is_dense(shifted):
@@ -243,6 +244,7 @@ def _left_out(matrix: Any, shift: float) -> float | None:
     pivots = factors.U.diagonal()
     if not np.array_equal(order, factors.perm_c) or not np.all(pivots > 0) or not np.all(np.isfinite(pivots)):
         return None
+    refuse_late("the factors of the stiffness were multiplied")
     L = sp.csc_matrix(factors.L)
     counts = np.diff(L.indptr).astype(float)
     if float(np.sum(counts**2)) > MOST_WORK:
@@ -336,10 +338,12 @@ def refine(
             return walk.refined(rounds, first)
         if rounds == MOST_ROUNDS or idle == MOST_IDLE_ROUNDS:
             break
+        refuse_late(f"round {rounds + 1} of the refinement")
         tell(f"refine the answer, round {rounds + 1}")
         try:
             walk.step()
         except NotConverged as error:
+            refuse_late(f"round {rounds + 1} of the refinement ended")
             reason = f" ({error})"
             break
         if not walk.settled or any(now < before / 2 for now, before in zip(walk.residuals, lowest, strict=True)):

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from contactqp.errors import InvalidProblem, NoEquilibrium, Unsupported, counted, shown
 from contactqp.linalg.exact_algebra import ONE, ZERO, Affine, Region, Row, dot, reduced, solutions
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import own_floating_point
+from contactqp.model.arrays import own_floating_point, refuse_late
 from contactqp.model.coulomb import OPEN, STICK, all_combinations, combinations_of, plane_states
 from contactqp.model.local_problem import LocalProblem
 from contactqp.model.problem import ContactProblem
@@ -286,6 +286,7 @@ class _Bodies:
 
     def members(self, status: tuple[int, ...]) -> _Members | None:
         """Return all equilibria in one combination, None where there are none."""
+        refuse_late("every combination of open, stick and slip was tried in rational numbers")
         columns = _Columns(self, status)
         rows = [columns.of(row) for row in self.balance]
         for i, state in enumerate(status):
@@ -461,14 +462,8 @@ def has_local_equilibrium(problem: LocalProblem) -> bool:
         zero, signs = list(joints), list[Row]()
         for i, state in enumerate(states):
             push, drag, opens, slips = force[2 * i], force[2 * i + 1], velocity[2 * i], velocity[2 * i + 1]
-            zero += [push if state == OPEN else opens]
-            zero += [
-                slips
-                if state == STICK
-                else drag
-                if state == OPEN
-                else [x + state * mu[i] * y for x, y in zip(drag, push, strict=True)]
-            ]
+            slides = drag if state == OPEN else [x + state * mu[i] * y for x, y in zip(drag, push, strict=True)]
+            zero += [push if state == OPEN else opens, slips if state == STICK else slides]
             signs += _signs_of_law(state, mu[i], (push, drag), opens, slips)
         found = solutions([_equation(row) for row in zero], 2 * m + p)
         if found is None:
