@@ -24,11 +24,11 @@ from contactqp.errors import (
 )
 from contactqp.linalg.iteration import contacts_are_many, iterated
 from contactqp.model.arguments import checked
-from contactqp.model.arrays import own_floating_point
+from contactqp.model.arrays import in_any_time, own_floating_point, stated_limit, time_is_up
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import FIGURES, Certificate, Solution
 from contactqp.model.summary import Printed, RowsOf, finite
-from contactqp.solving.methods import Method, meant_option, registered_name, takes
+from contactqp.solving.methods import Method, meant_option, registered_name, takes, within_time_of
 from contactqp.solving.methods.method import ACTIVE_SET
 from contactqp.solving.solve import begin, solve
 from contactqp.study import rows
@@ -78,12 +78,16 @@ class Timing:
 def attempt(problem: ContactProblem, setting: Setting, truth: Truth | None) -> Row:
     """Solve with one setting in this process, and time it by calls after the first unless that took seconds.
 
-    Errors are measured against `truth`; without one they are None.
+    Errors are measured against `truth`; without one they are None. After the time limit of the call nothing is tried.
     """
+    if time_is_up() and setting.method.installed:
+        name, late = setting.method.name, f"not tried: the time limit of {stated_limit(None)} was over"
+        return Row(method=name, kind=setting.method.kind, verdict=rows.NOT_CONVERGED, message=late)
     row = answer(problem, setting, truth)
-    if row.seconds is None or row.seconds >= LONG:
+    if row.seconds is None or row.seconds >= LONG or time_is_up():
         return row
-    return timed(row, [timing(problem, setting, row.seconds)])
+    times = timing(problem, setting, row.seconds)
+    return row if time_is_up() else timed(row, [times])
 
 
 def answer(
@@ -112,8 +116,8 @@ def answer(
         Called in place of solve where the answer depends on the history that leads to it.
     """
     outcome = call(problem, setting, follow)
-    unmet = judge(outcome.solution) if judge and outcome.solution and not outcome.error else None
-    return _row(problem, setting, outcome, truth, case, unmet)
+    with in_any_time():
+        return _row(problem, setting, outcome, truth, case, judge)
 
 
 def timing(
@@ -217,9 +221,10 @@ def _row(
     outcome: Outcome,
     truth: Truth | None,
     case: str,
-    unmet: Sequence[str] | None,
+    judge: Judge | None,
 ) -> Row:
     solution = outcome.solution
+    unmet = judge(solution) if judge and solution and not outcome.error else None
     columns = _setting_columns(problem, setting, case)
     if not isinstance(outcome.error, BackendMissing | Unsupported):
         columns |= dict(seconds=outcome.seconds)
@@ -403,7 +408,10 @@ def compare(
         Values of the knobs. By default penalty and perturbation, which have no default, go through 1e1 ... 1e6 times
         the contact stiffness (`contactqp.study.settings.contact_stiffness`); the others are run as `solve` runs them.
     **options
-        Options of `solve`, each for the methods that take it: ``penalty=1e4``, ``tolerance=1e-6``.
+        Options of `solve`, each for the methods that take it: ``penalty=1e4``, ``tolerance=1e-6``. ``time_limit`` [s]
+        is that of the whole comparison, the default reference included. Methods are tried in the order of `methods`;
+        those whose turn does not come have rows that say so, and backends without a time limit of their own are not
+        run.
 
     Returns
     -------
@@ -440,19 +448,23 @@ def compare(
             known = [option for method in chosen for option in method.options]
             raise InvalidProblem(f"compare: none of the methods takes an option {name!r}{meant_option(name, known)}")
     refuse_far_from_one("compare", problem)
-    if (rows := acting_rows(problem)) is not None and rows.met:
-        problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
-    truth = truth_of(problem, reference)
-    settings = (setting for method in chosen for setting in _settings(problem, method, values, options))
-    unknown = "nothing, as no answer is proven to be the only one; reference= states what to compare with"
-    source = unknown if truth is None else truth.source
-    return Comparison(tuple(attempt(problem, setting, truth) for setting in settings), source)
+    with within_time_of(options):
+        if (rows := acting_rows(problem)) is not None and rows.met:
+            problem, reference = rows.problem, None if reference is None else _on_acting_rows(rows, reference)
+        truth = truth_of(problem, reference)
+        settings = (setting for method in chosen for setting in _settings(problem, method, values, options))
+        unknown = "nothing, as no answer is proven to be the only one; reference= states what to compare with"
+        source = unknown if truth is None else truth.source
+        return Comparison(tuple(attempt(problem, setting, truth) for setting in settings), source)
 
 
 def _settings(
     problem: ContactProblem, method: Method, knobs: Mapping[str, Sequence[float]], options: Mapping[str, Any]
 ) -> Iterator[Setting]:
     """Yield the settings of a method: the values of its parameter, each with the other options that it takes."""
+    if time_is_up():
+        yield Setting(method)
+        return
     own = {name: value for name, value in options.items() if takes(method.name, name)}
     values = knobs.get(method.name)
     if values is None and method.knob in own:

@@ -16,6 +16,7 @@ from contactqp.solving import methods as registry
 from contactqp.solving.methods.method import Method, Settings
 from contactqp.study import rows, truth
 from contactqp.study.settings import STIFFENINGS, contact_stiffness
+from tests.clocks import Clock
 from tests.examples import body_on_spring_in_mid_air, two_bars
 from tests.study.csv_rows import from_csv
 
@@ -266,6 +267,25 @@ def test_options_go_to_the_methods_that_take_them() -> None:
         cq.compare(two_bars(), "active-set", penalty=1e6)
     with pytest.raises(cq.InvalidProblem, match=r"methods: expected names, got .'penalty', {'penalty': 10000.0}."):
         cq.compare(two_bars(), [("penalty", {"penalty": 1e4})])
+
+
+def test_a_time_limit_is_that_of_all_methods_together(register: Register, clock: Clock) -> None:
+    """Each of five methods may have held a limit of its own, and the table taken five times as long."""
+
+    def slowly(_: cq.ContactProblem, __: Settings) -> Candidate:
+        clock.passes(60.0)
+        return Candidate(Answer(np.array(EXACT[0]), np.array(EXACT[1]), None, np.zeros(0)), "solved", 1)
+
+    for name in "abcde":
+        register(name, slowly)
+    table = cq.compare(two_bars(), [*"abcde", "active-set"], time_limit=100.0)
+    assert [row.method for row in table if row.verdict == rows.RIGHT] == ["a", "b"]
+    assert {row.message for row in table[2:]} == {"not tried: the time limit of 100 s was over"}
+    assert {row.verdict for row in table[2:]} == {rows.NOT_CONVERGED}
+    assert [row.method for row in table[2:]] == ["c", "d", "e", "active-set"]
+    with pytest.raises(cq.InvalidProblem, match="time_limit"):
+        cq.compare(two_bars(), ["active-set"], time_limit=0)
+    assert all(row.verdict == rows.NOT_CONVERGED for row in cq.compare(two_bars(), OURS, time_limit=1e-9))
 
 
 def test_a_solution_as_reference() -> None:
