@@ -48,7 +48,7 @@ from contactqp.certificate.state_bodies import (
     squared_lengths,
     with_friction_held,
 )
-from contactqp.errors import BackendFailed
+from contactqp.errors import BackendFailed, NotConverged
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.delassus import FIXED_BY_TIES, condensed_frictional_rows, contact_compliance
 from contactqp.linalg.dense import saddle_point
@@ -56,7 +56,7 @@ from contactqp.linalg.extended import FINE_EPS, extend, extended_rows
 from contactqp.linalg.iteration import Systems, systems_of
 from contactqp.linalg.measures import HELD_BY_DOUBLES, force_size, in_energy, lengths, row_sizes
 from contactqp.linalg.measures import directions as directions_of
-from contactqp.model.arrays import Array, Vector, seconds_of_unfinished
+from contactqp.model.arrays import Array, Vector, refuse_late, seconds_of_unfinished
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import STATE, Answer, Violations
@@ -136,7 +136,7 @@ def state_verdict(
             return figures_alone(reason)
         bodies = CondensedBodies(problem, condensation)
     elif seconds_of_unfinished() is not None:
-        return replace(figures_alone(OUT_OF_TIME), failures=(f"state: {OUT_OF_TIME}",))
+        return _out_of_time()
     elif (systems := systems_of(problem)) is Systems.ITERATED:
         bodies = IteratedBodies(problem)
     elif systems is Systems.SPARSE:
@@ -149,6 +149,10 @@ def state_verdict(
         distance, reason = compared.nearest(tolerance, nothing)
     except BackendFailed as error:
         distance, reason = None, str(error)
+    except NotConverged:
+        if seconds_of_unfinished() is None:
+            raise
+        return _out_of_time()
     if reason is not None:
         return with_friction_held(problem, answer, condensation, tolerance, nothing, reason)
     if distance is None:
@@ -164,6 +168,10 @@ def state_verdict(
     notes = (BY_ITERATION,) if isinstance(bodies, IteratedBodies) else ()
     beside = None if failures else compared.compared
     return StateVerdict(STATE, largest, distance.displacement[1], failures, notes, compared.displacement, beside)
+
+
+def _out_of_time() -> StateVerdict:
+    return replace(figures_alone(OUT_OF_TIME), failures=(f"state: {OUT_OF_TIME}",))
 
 
 def remember_verdict(
@@ -290,6 +298,7 @@ class _Comparison:
         """Return `nearest` starting from one combination."""
         seen: set[bytes] = set()
         for _ in range(COMBINATIONS):
+            refuse_late("another combination was compared", judging=True)
             seen.add(status.tobytes())
             refined = self._bodies.refined(status, self._answer)
             if not refined.regular:

@@ -195,6 +195,8 @@ class SparseFrictionRun(FrictionRun):
             found = solve_sparse_newton(problem, settings)
         super().__init__(problem, found.answer, "newton", iterations=found.steps)
         self._found = found
+        if found.late:
+            self.candidate = replace(self.candidate, claimed=False, status=found.late)
 
     def final(self) -> Final:
         """Return the answer as it was found: no body floats, and noise has been removed."""

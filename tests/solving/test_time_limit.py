@@ -14,7 +14,7 @@ import pytest
 import scipy.sparse as sp
 
 import contactqp as cq
-from contactqp.certificate import certificate, energy_bounds
+from contactqp.certificate import certificate, energy_bounds, state_answer
 from contactqp.certificate.state_answer import OUT_OF_TIME
 from contactqp.errors import BackendFailed
 from contactqp.linalg import condensation, dense, factorization, multigrid, nonnegative, pardiso, refinement, schur
@@ -25,11 +25,12 @@ from contactqp.model.solution import Answer
 from contactqp.solving import local_solving
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS
+from contactqp.solving.friction.force_system import ForceSystem
 from contactqp.solving.friction.local_form import Iterate, LocalForm
 from tests.blocks_in_space import fresh, on_paraboloid
 from tests.clocks import Clock
 from tests.solving.friction.problems import rough_truss
-from tests.solving.friction.space import block
+from tests.solving.friction.space import block, plane_block
 
 CHAIN = sp.diags([-1.0, 3.0, -1.0], [-1, 0, 1], shape=(2 * dense.BLOCK, 2 * dense.BLOCK), format="csr")
 NONE, MANY = np.zeros(0, dtype=np.intp), np.arange(dense.BLOCK + 1)
@@ -252,6 +253,51 @@ def test_friction_on_condensed_contacts_has_its_answer_so_far(
     assert found.normal_force.max() > 0
     assert not found.certificate.passed
     assert len(steps) == last
+
+
+def test_an_unfinished_answer_is_compared_with_its_states_for_as_long_again(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten combinations of 90 300 unknowns took 3 s after a limit of 0.9 s."""
+    problem, refined = plane_block((12, 6), 0.3, 0.001), state_answer.CondensedBodies.refined
+    answer = Answer(
+        np.zeros(problem.dimension), np.zeros(problem.contacts), np.zeros((problem.contacts, 1)), np.zeros(problem.ties)
+    )
+
+    def slowly(*arguments: Any) -> Any:
+        clock.passes(100.0)
+        return refined(*arguments)
+
+    monkeypatch.setattr(state_answer.CondensedBodies, "refined", slowly)
+    for seconds, late in ((1e6, False), (150.0, True)):
+        with arrays.within_time(seconds), arrays.unfinished(), arrays.in_any_time():
+            found = certificate.certificate_of(fresh(problem), answer)
+        assert not found.passed
+        assert any(OUT_OF_TIME in failure for failure in found.failures) == late
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**40])
+def test_friction_by_newton_has_the_answer_of_its_last_combination(
+    unit: float, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was lost, and no word said that the time was up."""
+    problem = plane_block((12, 6), 0.3, 0.001)
+    problem = problem.replace(stiffness=problem.stiffness * unit, load=problem.load * unit)
+    truth, solved = cq.solve(problem, algorithm="newton"), ForceSystem.solve
+    assert truth.work.iterations > 1
+
+    def slowly(*arguments: Any) -> Any:
+        clock.passes(300.0)
+        return solved(*arguments)
+
+    monkeypatch.setattr(ForceSystem, "solve", slowly)
+    with pytest.raises(cq.NotConverged, match="newton: stopped at the time limit of 200 s") as caught:
+        cq.solve(fresh(problem), algorithm="newton", time_limit=200.0)
+    found = caught.value.solution
+    assert found.normal_force.max() > 0
+    assert not found.certificate.passed
+    error = np.linalg.norm(found.displacement - truth.displacement)
+    assert 0 < error < np.linalg.norm(truth.displacement)
 
 
 def spheres(contacts: int = 40) -> cq.LocalProblem:

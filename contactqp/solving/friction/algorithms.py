@@ -56,8 +56,7 @@ def _newton_on_bodies(
     problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings
 ) -> FoundOnBodies:
     del method
-    limits = settings.max_iter, settings.time_limit
-    found = solve_newton(problem, condensation, settings.warm_start, limits[0], time_limit=limits[1])
+    found = solve_newton(problem, condensation, settings.warm_start, settings.max_iter)
     return FoundOnBodies(found.answer, "newton", iterations=found.steps)
 
 

@@ -16,7 +16,6 @@ the combinations of Tresca's problems, which an interior point solves, are tried
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from contactqp.linalg.friction_states import MAX_SWEEPS, RefinedState, answer_in
 from contactqp.linalg.iteration import condense_anyway, held_by_hierarchy, iteration
 from contactqp.linalg.measures import lengths_that_meet, own_compliance, ratio
 from contactqp.linalg.sparse_states import SparseFrictionalRows, frictional_rows, refined_sparse
-from contactqp.model.arrays import Indices, Mask, Vector, all_finite, refuse_late, stated_limit
+from contactqp.model.arrays import Indices, Mask, Vector, all_finite, refuse_late, stated_limit, time_is_up
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK, Status
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
@@ -68,11 +67,11 @@ def solve_newton(
     condensation: Condensation,
     start: Candidate | None,
     max_iter: int | None = None,
-    time_limit: float | None = None,
 ) -> NewtonAnswer:
     """Find Coulomb's answer from the combination of `start`, or from all touching contacts stuck.
 
-    Raises NotConverged: the combinations come back.
+    Raises NotConverged: the combinations come back, or the time is up; `solution` is then the answer of the combination
+    that violates the signs least.
 
     Parameters
     ----------
@@ -80,15 +79,20 @@ def solve_newton(
         The frictional problem and its condensation.
     start : Candidate or None, an answer whose combination is tried first
     max_iter : the largest number of combinations
-    time_limit : seconds
     """
-    began = time.perf_counter()
     system = ForceSystem(problem, condensation)
     lengths = system.lengths(problem, condensation.reduce_load(problem.load)[0])
     status = _touching(system, lengths) if start is None else combination_of(problem, start.answer)
-    limit = None if time_limit is None else began + time_limit
-    found, steps = search(system, lengths, status, max_iter=max_iter, until=limit)
-    answer = refined(problem, condensation, system, lengths, found)
+    found: CombinationAnswer | None = None
+    try:
+        found, steps = search(system, lengths, status, max_iter=max_iter)
+        answer = refined(problem, condensation, system, lengths, found)
+    except NotConverged as error:
+        found = found or error.solution
+        if found is None or not time_is_up():
+            raise
+        late = f"newton: stopped at the time limit of {stated_limit(None)}"
+        raise NotConverged(late, (), _in_doubles(problem, condensation, system, lengths, found)) from error
     if not holds(problem, answer):
         raise NotConverged("newton: the signs of its combination do not hold to the last digits")
     return NewtonAnswer(answer, found.status, steps)
@@ -111,10 +115,21 @@ def refined(
     lengths : the right-hand sides that belong to the problem's load
     found : the answer in scaled forces, before refinement
     """
+    start = _in_doubles(problem, condensation, system, lengths, found)
+    answer = answer_in(problem, condensation, system.rows, found.status, start)
+    return without_idle_friction(system, answer)
+
+
+def _in_doubles(
+    problem: ContactProblem,
+    condensation: Condensation,
+    system: ForceSystem,
+    lengths: Lengths,
+    found: CombinationAnswer,
+) -> Answer:
     _, inner = condensation.reduce_load(problem.load)
     expanded = condensation.expand(system.displacement(found, lengths) * system.rows.scale, inner)
-    answer = answer_in(problem, condensation, system.rows, found.status, system.unscaled(found, expanded))
-    return without_idle_friction(system, answer)
+    return system.unscaled(found, expanded)
 
 
 def without_idle_friction(system: ForceSystem, answer: Answer) -> Answer:
@@ -130,11 +145,10 @@ def search(
     start: Status,
     held_open: Mask | None = None,
     max_iter: int | None = None,
-    until: float | None = None,
 ) -> tuple[CombinationAnswer, int]:
     """Return the combination whose signs hold and the number of those solved; contacts `held_open` (m,) may overlap.
 
-    Raises NotConverged as `solve_newton` does.
+    Raises NotConverged: the combinations come back, or the time is up; `solution` is then the nearest of them so far.
 
     Parameters
     ----------
@@ -144,7 +158,6 @@ def search(
     held_open : (m,) array of bool, optional
         Contacts that stay open although they may overlap.
     max_iter : the largest number of combinations
-    until : when to stop, by `time.perf_counter`
     """
     status = system.plain(start)
     if held_open is not None:
@@ -153,7 +166,10 @@ def search(
     best: tuple[float, CombinationAnswer] | None = None
     single, left = False, MAX_STEPS if max_iter is None else max_iter
     steps = 0
-    while left > 0 and (until is None or time.perf_counter() < until):
+    while left > 0:
+        if time_is_up():
+            late = f"newton: stopped at the time limit of {stated_limit(None)}"
+            raise NotConverged(late, (), None if best is None else best[1])
         seen.add(status.tobytes())
         found = system.solve(status, lengths)
         steps, left = steps + 1, left - 1
@@ -251,6 +267,7 @@ class SparseNewtonAnswer:
     steps: int
     factorisations: int
     back_substitutions: int
+    late: str = ""  # why it is only that of the last combination, where the time is up
 
 
 # The answer without friction must be accurate enough for its slips.
@@ -284,16 +301,21 @@ def solve_sparse_newton(problem: ContactProblem, settings: Settings) -> SparseNe
 
 
 def _from_combination(problem: ContactProblem, start: Status, settings: Settings) -> SparseNewtonAnswer:
-    rows, spent, began = frictional_rows(problem), 0, time.perf_counter()
+    rows, spent = frictional_rows(problem), 0
     before = rows.factorisations
     here = Answer(np.zeros(problem.dimension), np.zeros(problem.contacts), None, np.zeros(problem.ties))
     status, seen = _plain(rows, start), set()
     for step in range(1, (settings.max_iter or MAX_SPARSE_STEPS) + 1):
         seen.add(status.tobytes())
         try:
+            refuse_late(f"combination {step} of open, stick and slip was solved for")
             found = refined_sparse(problem, status, here, LOOSE_SWEEPS)
         except BackendFailed as error:
             raise NotConverged(f"newton: {error}") from error
+        except NotConverged as error:
+            if step == 1:
+                raise
+            return SparseNewtonAnswer(here, step - 1, rows.factorisations - before, spent, str(error))
         here = found.answer(1)
         solved = rows.system(problem, status).back_substitutions
         spent += solved
@@ -310,8 +332,6 @@ def _from_combination(problem: ContactProblem, start: Status, settings: Settings
             if one is None:
                 break
             following = one
-        if settings.time_limit is not None and time.perf_counter() > began + settings.time_limit:
-            raise NotConverged(f"newton: stopped at the time limit of {stated_limit(settings.time_limit)}")
         status = following
     raise NotConverged(f"newton: no combination of open, stick and slip whose signs hold ({len(seen)} tried)")
 

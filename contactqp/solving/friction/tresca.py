@@ -85,15 +85,23 @@ def tresca_on_bodies(
         Where the time is up, `solution` is the answer of the last bound.
     """
     run, name = _Run(problem, condensation, method, settings), algorithm_name("tresca", method.name)
+    try:
+        return _by_bounds(run, name, MAX_STEPS if settings.max_iter is None else settings.max_iter, at_once)
+    except NotConverged as error:
+        if time_is_up() and run.last is not None:
+            late = f"tresca: stopped at the time limit of {stated_limit(None)} in step {len(error.history) + 1}"
+            raise NotConverged(late, error.history, run.plain(run.last)) from error
+        raise
+
+
+def _by_bounds(run: _Run, name: str, limit: int, at_once: bool) -> FoundOnBodies:
     bound, slippery = run.first_bound()
-    last = slippery
     if at_once and slippery is not None and (found_at_once := run.at_once(slippery, bound)) is not None:
         return replace(found_at_once, name=found_at_once.name or name)
     changes: list[float] = []
     relaxation = RELAXATION[1]
     before: Vector | None = None
     tried: dict[bytes, float] = {}  # combinations, and the change of the bound from which each was last refined
-    limit = MAX_STEPS if settings.max_iter is None else settings.max_iter
     for step in range(1, limit + 1):
         tell(f"friction bounds, step {step}")
         try:
@@ -105,20 +113,17 @@ def tresca_on_bodies(
                 tuple(changes),
             ) from error
         except (NotConverged, BackendFailed) as error:
-            if time_is_up() and last is not None:
-                late = f"tresca: stopped at the time limit of {stated_limit(None)} in step {step}"
-                raise NotConverged(late, tuple(changes), run.plain(last)) from error
             raise NotConverged(
                 f"tresca: the friction bounds of step {step} lead nowhere: {error}", tuple(changes)
             ) from error
-        missing, last = run.bound_of(found) - bound, found
+        missing = run.bound_of(found) - bound
         largest = np.max(abs(bound), initial=np.max(abs(missing), initial=0.0))
         change = float(np.max(abs(missing), initial=0.0) / largest) if largest > 0 else 0.0
         status = run.suggested(found, bound)
         if not change >= NEARER * tried.get(status.tobytes(), np.inf):
             tried[status.tobytes()] = change
             answer = run.answer_in(status, found)
-            if holds(problem, answer):
+            if holds(run.problem, answer):
                 return FoundOnBodies(answer, name, tuple(changes))
         changes.append(change)
         if changes[-1] <= BOUNDS_SETTLED:
@@ -142,9 +147,10 @@ class _Run:
     """The Tresca problems of one frictional problem, for one method."""
 
     def __init__(self, problem: ContactProblem, condensation: Condensation, method: Method, settings: Settings) -> None:
-        self._problem, self._condensation, self._method = problem, condensation, method
+        self.problem, self._condensation, self._method = problem, condensation, method
         self._settings = replace(settings, warm_start=None, max_iter=None)
         self._start, self._began = settings.warm_start, time.perf_counter()
+        self.last: _Step | None = None  # the last answer, for a call whose time is up
         self._rows = condensed_frictional_rows(problem, condensation)
         load, self._inner = condensation.reduce_load(problem.load)
         size = condensation.reduced_size(problem, self._inner)
@@ -173,10 +179,11 @@ class _Run:
         """Return the answer without friction, on the condensation where the method accepts one."""
         condensed, rows = self._method.solve_condensed, self._rows
         if condensed is None or self._condensation.rigid.count:
-            return self.with_bound(np.zeros(self._problem.contacts))
-        found = condensed(self._problem, self._condensation, self._limited()).answer
+            return self.with_bound(np.zeros(self.problem.contacts))
+        found = condensed(self.problem, self._condensation, self._limited()).answer
         normal, tie = found.normal_force * rows.normal_length, found.tie_force * rows.tie_length
-        return _Step(found.displacement / rows.scale, normal, np.zeros(len(normal)), tie)
+        self.last = _Step(found.displacement / rows.scale, normal, np.zeros(len(normal)), tie)
+        return self.last
 
     def bound_of(self, step: _Step) -> Vector:
         """Return the friction bounds mu l_N (m,) of a step, scaled."""
@@ -184,7 +191,7 @@ class _Run:
 
     def at_once(self, slippery: _Step, bound: Vector) -> FoundOnBodies | None:
         """Return the answer near that without friction and its name, empty for its combination itself; None without."""
-        problem, condensation, status = self._problem, self._condensation, self.suggested(slippery, bound)
+        problem, condensation, status = self.problem, self._condensation, self.suggested(slippery, bound)
         if too_many(problem, condensation) is None:
             if not critical(problem, condensation).unique:  # else any combination that holds is the answer
                 return None
@@ -193,11 +200,10 @@ class _Run:
                 return FoundOnBodies(answer, "")
         if problem.contacts < MANY or self._method.kind != ACTIVE_SET:
             return None
-        system, left = ForceSystem(problem, condensation), self._limited().time_limit
+        system = ForceSystem(problem, condensation)
         lengths = system.lengths(problem, condensation.reduce_load(problem.load)[0])
-        until = None if left is None else time.perf_counter() + left
         try:
-            found, steps = search(system, lengths, status, max_iter=NEWTON_STEPS, until=until)
+            found, steps = search(system, lengths, status, max_iter=NEWTON_STEPS)
         except NotConverged:
             return None
         answer = refined(problem, condensation, system, lengths, found)
@@ -205,10 +211,10 @@ class _Run:
 
     def with_bound(self, bound: Vector) -> _Step:
         """Return the answer to the Tresca problem of a friction bound (m,)."""
-        rows, m, p = self._rows, self._problem.contacts, len(self._rows.S)
+        rows, m, p = self._rows, self.problem.contacts, len(self._rows.S)
         bounded = np.flatnonzero(rows.slides & (bound > NO_BOUND * np.max(bound, initial=0.0)))
         count, T, o = len(bounded), rows.tangent[bounded], self._origin[bounded]
-        inner = self._problem.transformed(
+        inner = self.problem.transformed(
             _block_diagonal(rows.S, np.zeros((count, count))),
             np.concatenate([self._load, -bound[bounded]]),
             np.concatenate([self._load_size, bound[bounded]]),
@@ -221,7 +227,8 @@ class _Run:
         u, force, tie = self._convex_answer(inner, count)
         friction = np.zeros(m)
         friction[bounded] = force[m : m + count] - force[m + count :]
-        return _Step(u[:p], force[:m], friction, tie)
+        self.last = _Step(u[:p], force[:m], friction, tie)
+        return self.last
 
     def exceeded(self, proof: Any, bound: Vector) -> str:
         """Return a text on the motion that friction within a bound (m,) does not hold, empty where none is known."""
@@ -230,15 +237,15 @@ class _Run:
         rows, x = self._rows, proof.motion[: len(self._rows.S)]
         pull, friction = float(self._load @ x), float(bound @ abs(rows.tangent @ x))
         z = self._condensation.expand(x * rows.scale, np.zeros_like(self._inner))
-        return describe_overload(self._problem, z, pull, friction)
+        return describe_overload(self.problem, z, pull, friction)
 
     def _stuck(self) -> _Step:
         """Return the answer in which every contact with friction sticks, closed or not."""
-        rows, m = self._rows, self._problem.contacts
+        rows, m = self._rows, self.problem.contacts
         stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
         ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
         data = (rows.S, self._load, self._load_size, rows.normal, self._gap, ties, values)
-        u, force, tie = self._convex_answer(self._problem.transformed(*data, named=False), 0)
+        u, force, tie = self._convex_answer(self.problem.transformed(*data, named=False), 0)
         friction = np.zeros(m)
         friction[stuck] = tie[: len(stuck)]
         return _Step(u, force, friction, tie[len(stuck) :])
@@ -280,7 +287,7 @@ class _Run:
 
     def answer_in(self, status: Status, step: _Step) -> Answer:
         """Return the answer of a combination, refined from that of a step."""
-        return answer_in(self._problem, self._condensation, self._rows, status, self.plain(step))
+        return answer_in(self.problem, self._condensation, self._rows, status, self.plain(step))
 
     def plain(self, step: _Step) -> Answer:
         """Return the answer of a step in the units of the problem, without refinement."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -16,6 +18,7 @@ from contactqp.linalg.sparse_states import MOST_CHANGES, ChangedStateSystem, Spa
 from contactqp.model.coulomb import OPEN, SLIP_BACK, SLIP_ON, STICK
 from contactqp.solving.friction import newton
 from contactqp.solving.methods import Settings
+from tests.clocks import Clock
 
 pytest.importorskip("pyamg")
 
@@ -268,6 +271,28 @@ def test_combinations_of_convex_problems_lead_to_what_dense_systems_find() -> No
     largest = float(np.max(dense.normal_force))
     assert sparse.normal_force == pytest.approx(dense.normal_force, abs=1e-12 * largest)
     assert sparse.friction_force == pytest.approx(dense.friction_force, abs=1e-12 * largest)
+
+
+@pytest.mark.slow
+def test_sparse_systems_return_the_answer_of_the_last_combination_when_the_time_is_up(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, refined = pushed(0), newton.refined_sparse
+    truth = cq.solve(problem)
+
+    def slowly(*arguments: Any) -> Any:
+        found = refined(*arguments)
+        clock.passes(300.0)
+        return found
+
+    monkeypatch.setattr(newton, "refined_sparse", slowly)
+    words = "newton: stopped at the time limit of 500 s, before combination 3 of open, stick and slip was solved for"
+    with pytest.raises(cq.NotConverged, match=words) as caught:
+        cq.solve(problem._without_results(), time_limit=500.0)
+    found = caught.value.solution
+    assert not found.certificate.passed
+    error = np.linalg.norm(found.displacement - truth.displacement)
+    assert 0 < error < 0.5 * np.linalg.norm(truth.displacement)
 
 
 @pytest.mark.slow
