@@ -428,6 +428,7 @@ def _lowest(scaled: Any, shifted: Factorization) -> tuple[Array, float]:
     size = scaled.shape[0]
     width = min(8, size)
     while True:
+        refuse_late("the rigid motions of the stiffness were found")
         block, _ = np.linalg.qr(random.standard_normal((size, width)))
         for _ in range(4):
             block, _ = np.linalg.qr(shifted.solve(block))

@@ -99,6 +99,10 @@ NOTHING_BEGUN = {
         lambda: dense.BackSubstitution(CHAIN, np.arange(dense.BLOCK + 1), factorise),
         "the stiffness was condensed",
     ),
+    "floating": (
+        lambda: factorization._SoftPart(np.arange(8), np.eye(8)),
+        "the rigid motions of the stiffness were found",
+    ),
     "coarsened": (lambda: multigrid.Hierarchy(CHAIN), "the hierarchy of the stiffness was built"),
 }
 
