@@ -9,7 +9,8 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from decimal import Decimal
 from numbers import Number
 from pathlib import Path
@@ -118,6 +119,24 @@ class BackendFailed(ContactQPError):
     def __init__(self, message: str, candidate: Any = None) -> None:
         super().__init__(message)
         self.candidate = candidate
+
+
+@contextmanager
+def of_backend(name: str) -> Iterator[None]:
+    """Raise BackendFailed for whatever a backend raises in the block, but not for Ctrl-C, an exit or lack of memory.
+
+    Backends raise arbitrary exceptions, including panics of Rust, which are not derived from Exception, and qpsolvers
+    raises an error of its own in place of a Ctrl-C, which is then its cause.
+    """
+    try:
+        yield
+    except BaseException as error:
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, KeyboardInterrupt | SystemExit | MemoryError):
+                raise cause from None
+            cause = cause.__cause__
+        raise BackendFailed(f"{name}: {type(error).__name__}: {error}") from error
 
 
 class Unsupported(ContactQPError):

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.certificate import certificate_of
 from contactqp.certificate.coulomb_law import onto_cone
-from contactqp.errors import BackendFailed, BackendMissing, NotConverged, Unsupported
+from contactqp.errors import BackendMissing, NotConverged, Unsupported, of_backend
 from contactqp.linalg.condensation import Condensation
 from contactqp.linalg.existence import refuse_conflict, refuse_driven_motion
 from contactqp.linalg.measures import lengths
@@ -184,12 +184,8 @@ class _Program:
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
         P, A = sp.csc_matrix(np.triu(self._S)), sp.csc_matrix(np.vstack([self._tie, rows]))
         right = np.concatenate([self._value, (weights * self._limit.ravel())[flat]])
-        try:
+        with of_backend("associated: clarabel"):
             found = clarabel.DefaultSolver(P, -self._load, A, right, cones, settings).solve()
-        except (KeyboardInterrupt, SystemExit, MemoryError):
-            raise
-        except BaseException as error:  # panics of Rust are not derived from Exception
-            raise BackendFailed(f"associated: clarabel: {type(error).__name__}: {error}") from error
         x, z = np.array(found.x), np.array(found.z)
         if not (np.all(np.isfinite(x)) and np.all(np.isfinite(z))):
             raise NotConverged(f"associated: clarabel: {found.status}")

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium
+from contactqp.errors import BackendFailed, BackendMissing, NoEquilibrium, of_backend
 from contactqp.linalg.dense import BALANCED, unknown_scale
 from contactqp.linalg.exact_algebra import Polyhedron, Row, solutions
 from contactqp.linalg.existence import driven_coordinates, driven_in_cones
@@ -87,12 +87,8 @@ def _clarabel(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector
     if settings.time_limit is not None:
         options.time_limit = settings.time_limit
     P, A = sp.csc_matrix(sp.triu(program.P)), sp.csc_matrix(program.A)
-    try:
+    with of_backend("clarabel"):
         solution = clarabel.DefaultSolver(P, program.c, A, program.b, cones, options).solve()
-    except (KeyboardInterrupt, SystemExit, MemoryError):
-        raise
-    except BaseException as error:  # panics of Rust are not derived from Exception
-        raise BackendFailed(f"clarabel: {type(error).__name__}: {error}") from error
     # The caller judges the answer whatever its status.
     return np.array(solution.x), np.array(solution.z)
 
@@ -127,13 +123,8 @@ def _cvxpy(program: ConicProgram, settings: Settings) -> tuple[Vector, Vector] |
         constraints.append(cp.SOC(room[0], room[1:], axis=0))
     model = cp.Problem(cp.Minimize(energy), constraints)
     solver = settings.options.get("solver", "CLARABEL")
-    with collected_words():
-        try:
-            model.solve(solver=solver, verbose=False)
-        except (KeyboardInterrupt, SystemExit, MemoryError):
-            raise
-        except BaseException as error:
-            raise BackendFailed(f"cvxpy: {type(error).__name__}: {error}") from error
+    with collected_words(), of_backend("cvxpy"):
+        model.solve(solver=solver, verbose=False)
     if x.value is None:
         return None
     multipliers = [np.atleast_1d(constraint.dual_value) for constraint in constraints[: bool(z) + bool(first - z)]]

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.errors import BackendFailed, Unsupported
+from contactqp.errors import BackendFailed, Unsupported, of_backend
 from contactqp.linalg.runtime import silenced_output
 from contactqp.model.arrays import Indices, Vector
 from contactqp.model.problem import ContactProblem
@@ -237,15 +237,8 @@ def solve_quadratic_program(backend: Backend, problem: ContactProblem, settings:
     bounds = _bounds(problem) if backend.bounds and problem.dimension > BOUNDS_PAY else None
     program, initial = _program(backend, problem, bounds), _initial(backend, settings)
     hear_greeting(backend.package)
-    with collected_words() as words:
-        try:
-            solution = solve_problem(program, solver=backend.name, initvals=initial, **options)
-        except (KeyboardInterrupt, SystemExit, MemoryError):
-            raise
-        except BaseException as error:
-            # Backends raise arbitrary exceptions, including panics of Rust, which are not derived from Exception. Only
-            # the backend runs here, and the cause is kept.
-            raise BackendFailed(f"{backend.name}: {type(error).__name__}: {error}") from error
+    with collected_words() as words, of_backend(backend.name):
+        solution = solve_problem(program, solver=backend.name, initvals=initial, **options)
     limit = options.get(backend.iteration_limit)
     within = "" if limit is None else f" within {limit} iterations: max_iter allows more"
     found = "solved" if solution.found else f"not solved{within}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported, shown
+from contactqp.errors import BackendFailed, BackendMissing, InvalidProblem, Unsupported, of_backend, shown
 from contactqp.model.arrays import Vector
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Answer, Candidate
@@ -43,14 +43,8 @@ def solve_modelled(problem: ContactProblem, settings: Settings) -> Candidate:
     options = _options(solver, settings)
     if solver == "HIGHS":
         hear_greeting("highspy")
-    with collected_words() as words:
-        try:
-            model.solve(solver=solver, verbose=False, **options)
-        except (KeyboardInterrupt, SystemExit, MemoryError):
-            raise
-        except BaseException as error:
-            # cvxpy passes on arbitrary exceptions of its solvers, including panics of Rust.
-            raise BackendFailed(f"{NAME}: {solver}: {type(error).__name__}: {error}") from error
+    with collected_words() as words, of_backend(f"{NAME}: {solver}"):
+        model.solve(solver=solver, verbose=False, **options)
     status = "; ".join([f"{NAME}: {solver}: {model.status}", *words])
     answer = Answer(
         displacement=_values(u.value, problem.dimension, status),

@@ -216,9 +216,15 @@ def test_whatever_a_backend_raises_is_backend_failed(error: BaseException, monke
     assert caught.value.__cause__ is error
 
 
-def test_an_interrupt_is_no_failure_of_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("hidden", [False, True])
+def test_an_interrupt_is_no_failure_of_the_backend(hidden: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """qpsolvers raises an error of its own where Ctrl-C is pressed while Clarabel is set up."""
+
     def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+        pressed = KeyboardInterrupt()
+        if hidden:
+            raise qpsolvers.ProblemError("Solver failed to build problem") from pressed
+        raise pressed
 
     monkeypatch.setattr(qpsolvers, "solve_problem", interrupted)
     with pytest.raises(KeyboardInterrupt):
