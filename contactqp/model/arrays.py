@@ -387,12 +387,13 @@ NO_ANSWER = "no displacement had been computed yet, so that there is no answer t
 
 @contextmanager
 def call_within_time(seconds: float) -> Iterator[None]:
-    """Limit a call as `within_time` does, and add to the error that it had no answer yet."""
+    """Limit a call as `within_time` does; the error of one that is no part of another says if there is no answer."""
+    whole = _END.get() is None
     try:
         with within_time(seconds):
             yield
     except NotConverged as error:
-        if error.solution is None and str(error).startswith(STOPPED) and NO_ANSWER not in str(error):
+        if whole and error.solution is None and str(error).startswith(STOPPED):
             error.args = (f"{error}; {NO_ANSWER}",)
         raise
 

@@ -92,6 +92,14 @@ def test_an_earlier_end_stays_within_a_later_one() -> None:
     assert arrays.seconds_left() is None
 
 
+def test_a_call_within_another_does_not_say_that_there_is_no_answer() -> None:
+    """A path has the steps before, a comparison other methods, a proof the answer in floats."""
+    problem = fresh(PROBLEMS["plane"])
+    with arrays.within_time(1e-9), pytest.raises(cq.NotConverged, match="time limit") as caught:
+        cq.solve(problem, time_limit=60.0)
+    assert arrays.NO_ANSWER not in str(caught.value)
+
+
 NOTHING_BEGUN = {
     "factorised": (lambda: pardiso.Pardiso(CHAIN, NONE), "the stiffness was factorised"),
     "eliminated": (lambda: schur.TrailingBlock(CHAIN, np.array([0])), "the stiffness was factorised"),
