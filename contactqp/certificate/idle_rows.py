@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from contactqp.certificate.bounds import NEXT_TO_NOTHING
 from contactqp.certificate.coulomb_law import contact_entries, vector_measure
 from contactqp.certificate.figures import energy_norm, response
 from contactqp.certificate.number_range import ABSURD, near_one
@@ -323,24 +324,20 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     near = near_one(problem)
     seen, theirs, unit = (problem, answer, 0) if near is None else (near.problem, near.answer(answer), near.length)
     size, pushed, strain = _energies(seen, theirs)
-    scale = max(pushed, strain)
-    if size <= NOTHING_BY_DEFAULT * np.ldexp(certificate.violations.intrinsic_size, -unit):
-        return certificate
+    nothing = size <= NOTHING_BY_DEFAULT * np.ldexp(certificate.violations.intrinsic_size, -unit)
+    pressed = pushed > NEXT_TO_NOTHING * max(strain, size)  # else errors of forces are absolute
+    scale, failures = pushed if pressed else strain, certificate.failures
     part = size / scale if scale > 0 else np.inf
-    failures = certificate.failures
-    if not part <= certificate.error_tolerance:
+    if not (nothing or part <= certificate.error_tolerance):
         worst = int(np.argmax(np.maximum(push, friction)))
         why = "its gap is infinite" if np.isinf(problem.gap[worst]) else "its coefficient of friction is zero"
         where = f"{problem.contact_name(worst)} has a force that the law makes zero, as {why}"
         failures = (*failures, f"force_error: {part:.2g} of the contact forces; {where}")
-    bound = certificate.force_bound
-    if bound is not None:
-        bound = bound + friction
-    error = None if certificate.force_error is None else certificate.force_error + part
+    error, bound = certificate.force_error, certificate.force_bound
     return replace(
         certificate,
-        force_error=error,
-        force_bound=bound,
+        force_error=None if error is None else error + (part if pressed else float(np.ldexp(size, unit))),
+        force_bound=None if bound is None else bound + friction,
         distance=None if certificate.distance is None else certificate.distance + part,
         failures=failures,
         passed=not failures,
@@ -354,7 +351,9 @@ def _energies(problem: ContactProblem, answer: Answer) -> tuple[float, float, fl
         return np.inf, 0.0, 0.0
     rows = acting_rows(problem)
     problem, answer = (problem, answer) if rows is None else (rows.problem, rows.answer(answer))
-    push = problem.normal.T @ answer.normal_force
+    push = problem.normal.T @ answer.normal_force - load
+    if answer.friction_force is not None and problem.tangent is not None:
+        push = push + problem.tangent.T @ answer.friction_force.ravel()
     strain, _ = energy_norm(problem, extend(answer.displacement))
     if systems_of(problem) is not Systems.CONDENSED:
         return float(np.linalg.norm(problem.own_scale * load)), float(np.linalg.norm(problem.own_scale * push)), strain

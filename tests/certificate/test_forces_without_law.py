@@ -333,3 +333,36 @@ def test_a_small_tie_force_between_large_loads_is_judged_by_itself_where_no_cont
     wrong = cq.certify(problem, right.displacement, right.normal_force, tie_force=(1 + part) * right.tie_force)
     assert not wrong.passed
     assert any("tie" in failure for failure in wrong.failures)
+
+
+@pytest.mark.parametrize("stray", [1e-13, 1e-11, 1e-3])
+@pytest.mark.parametrize("contact", [0, 1])
+@pytest.mark.parametrize("friction", [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0)])
+def test_bounds_contain_friction_that_the_law_makes_zero_however_small(
+    stray: float, contact: int, friction: tuple[float, float]
+) -> None:
+    """Contact 0 is open and contact 1 carries 3/4 at (1, -1), which slips nowhere: all friction is zero."""
+    problem = cq.ContactProblem(
+        [[9.0, 6.0], [6.0, 11.0]], [2.25, -4.4375], [[-1.5, -0.5], [-1.0, 0.75]], [-0.5, -1.75],
+        tangent=[[-1.0, 1.5], [0.75, 1.0]], friction=friction, slip_origin=[[-2.5], [-0.25]],
+    )  # fmt: skip
+    forces = np.where(np.arange(2) == contact, stray, 0.0)
+    found = cq.certify(problem, [1.0, -1.0], [0.0, 0.75], forces, tolerance=0.9, error_tolerance=1e3)
+    assert found.force_bound is not None
+    assert found.force_error is not None
+    assert found.force_bound[contact] >= stray
+    # In the norm of the compliance: both sizes are square roots of what 63 times the inverse of K makes of the rows.
+    along, pushed = np.array([-1.0, 1.5]) if contact == 0 else np.array([0.75, 1.0]), 0.75 * np.array([-1.0, 0.75])
+    adjugate = np.array([[11.0, -6.0], [-6.0, 9.0]])
+    assert found.force_error >= (1 - 1e-9) * stray * np.sqrt(along @ adjugate @ along / (pushed @ adjugate @ pushed))
+
+
+def test_stray_friction_is_compared_with_the_contact_forces_beside_a_body_that_is_strained_far_more() -> None:
+    """1e-6 presses beside a body that 1 strains: a stray friction of 1e-9 is a thousandth of all contact forces."""
+    problem = cq.ContactProblem(
+        np.eye(3), [1.0, 0.0, 1e-6], [[0.0, 0.0, 1.0]], [0.0], tangent=[[0.0, 1.0, 0.0]], friction=0.0
+    )
+    found = cq.certify(problem, [1.0, 0.0, 0.0], [1e-6], [1e-9], tolerance=0.9, error_tolerance=1e3)
+    assert found.force_error is not None
+    assert found.force_error >= 1e-3 * (1 - 1e-9)
+    assert not cq.certify(problem, [1.0, 0.0, 0.0], [1e-6], [1e-9]).passed
