@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from contactqp.certificate.critical_friction import SINGULAR_SYSTEM, combinations, regular, system_matrices
@@ -47,6 +48,8 @@ DISPLACEMENT_ROUNDING = 1e-12
 SAME_ANSWER = 1e-6
 # The ends of a family, found by linear programs, are different answers if contacts differ by this part.
 PROGRAMMED = 1e-5
+# Changes of the forces of redundant contacts balance to this part of them at every unknown.
+BALANCED = 1e-9
 # The relative error of entries of the systems, and a safety factor on the resulting error of solutions.
 LOST, SAFE = 1e-15, 30.0
 
@@ -93,7 +96,7 @@ def _several_answers(
     held = alone & system.holds(status, y, *off)
     clear = held & system.holds(status, y, -off[0], -off[1])
     side = np.linalg.slogdet(matrices)[0]
-    found = [_Found(y[b], off[0][b], bool(clear[b]), float(side[b])) for b in np.flatnonzero(held)]
+    found = [_Found(y[b], off[0][b], bool(clear[b]), float(side[b]), off[1][b]) for b in np.flatnonzero(held)]
     loose = dict[int, _Signs]()
     for b in np.flatnonzero(~alone).tolist():
         sizes = abs(right[b]) + abs(matrices[b]) @ abs(y[b])
@@ -112,7 +115,10 @@ def _several_answers(
     asked = status[[*np.flatnonzero(held), *loose]]
     if doubtful <= SURE:
         return _surely_several(system, found), asked
-    return len(found) > 1 and any(apart is not False for apart in system.apart(found[0], found[1:])), asked
+    if len(found) < 2:
+        return False, asked
+    apart, pushed = system.apart(found[0], found[1:]), system.pushed_apart(problem, found[0], found[1:])
+    return any(far is not False or unlike for far, unlike in zip(apart, pushed, strict=True)), asked
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:
@@ -196,6 +202,7 @@ class _Found:
     off: Array | None  # (m, 2) rounding of the contacts' displacements; None for families
     clear: bool  # whether its signs hold beyond rounding
     side: float  # the sign of the determinant of its combination
+    off_force: Array | None = None  # (m, 2) rounding of the forces; None for families
 
 
 def _surely_several(system: _Systems, found: list[_Found]) -> bool:
@@ -222,6 +229,7 @@ class _Systems:
         if problem.friction is None or problem.slip_origin is None:
             raise ValueError("answers are counted with friction only")
         self.mu = problem.friction
+        self._scale = compliance.scale
         self._W, self._V, self._J = compliance.W, compliance.V, compliance.J
         free, self._held = compliance.free(problem, condensation)
         limits = np.stack([problem.gap, problem.slip_origin[:, 0]], axis=1) / compliance.scale[:, None]
@@ -334,6 +342,23 @@ class _Systems:
         same = np.where(exact, nearly, DISPLACEMENT_ROUNDING * meeting + SAFE * self.nothing)
         surely, equal = np.any(change > np.maximum(far, same), axis=1), np.all(change <= same, axis=1)
         return [True if differs else False if agrees else None for differs, agrees in zip(surely, equal, strict=True)]
+
+    def pushed_apart(self, problem: ContactProblem, one: _Found, others: list[_Found]) -> list[bool]:
+        """Return of each of the others whether its forces differ, and not only as redundant contacts share them.
+
+        Bodies are then displaced differently, even where that is lost in the rounding of displacements without
+        contacts, as where a soft spring lets a body go far. Ties may carry a difference as redundant contacts do, which
+        only the rational numbers of small problems decide; in others the displacements alone are compared.
+        """
+        if problem.tangent is None or (problem.ties and problem.dimension + problem.ties > MOST_EXACT):
+            return [False] * len(others)
+        rows, differs = sp.vstack([problem.normal, problem.tangent]), list[bool]()
+        for other in others:
+            off = np.inf if one.off_force is None or other.off_force is None else one.off_force + other.off_force
+            change = (one.y - other.y)[: 2 * len(self.mu)].reshape(-1, 2)
+            forces = (np.where(abs(change) > off, change, 0.0) / self._scale[:, None]).T.ravel()
+            differs.append(bool(np.any(abs(rows.T @ forces) > BALANCED * (abs(rows).T @ abs(forces)))))
+        return differs
 
     def moving(self, free: Array) -> Array:
         """Return the nonzero displacements of contacts by free directions (k, q) as rows (r, k)."""
