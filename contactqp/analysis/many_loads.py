@@ -9,10 +9,8 @@ The search for states starts from the previous case if answers are unique for an
 `contactqp.critical_friction`); otherwise from the contacts that close without friction, so that an answer does not
 depend on previous cases; for floating bodies from all contacts closed.
 
-Answers are also available as functions of JAX and PyTorch, differentiated by `pullback`; these are imported on request.
-
-Every call of such a function is a certified solution, and its gradient one system with the same factors. Without a
-gradient, as at a grazing contact, an error is raised.
+Answers are also available as functions of JAX and PyTorch, which are imported on request. Every call is a certified
+solution, its gradient one system with the same factors (`pullback`); where there is none an error is raised.
 """
 
 from __future__ import annotations
@@ -38,12 +36,13 @@ from contactqp.errors import BackendMissing, ContactQPError, InvalidProblem, Uns
 from contactqp.linalg.condensation import Condensation, condense
 from contactqp.linalg.influence import Influence, ProvenForces, SolvedCases, held_by_springs
 from contactqp.linalg.iteration import Systems, systems_of
+from contactqp.model import arrays
 from contactqp.model.arguments import checked
 from contactqp.model.arrays import METHOD, Array, Vector, one_blas_thread, own_floating_point, stage, telling
 from contactqp.model.coulomb import OPEN, SLIP_ON, STICK
 from contactqp.model.problem import ContactProblem
 from contactqp.model.solution import Solution, Work
-from contactqp.solving.methods import DEFAULT_METHOD, registered_name
+from contactqp.solving.methods import DEFAULT_METHOD, registered_name, within_time_of
 from contactqp.solving.runs import Meter
 from contactqp.solving.solve import solve
 
@@ -90,7 +89,8 @@ def solve_many(
     progress : callable, optional
         A function that is called with a few words on what is being done.
     **options
-        Further options of `solve`, except `warm_start`.
+        Further options of `solve`, except `warm_start`. `time_limit` [s] is that of all cases together; `failures` has
+        the reason for those that were not solved in time.
 
     Returns
     -------
@@ -119,8 +119,8 @@ def solve_many(
         raise InvalidProblem("solve_many: a case starts from the one before it; expected no warm_start")
     method, cases, started = registered_name(method), LoadCases(problem, loads, gaps, friction), time.perf_counter()
     rows = _Rows(cases)
-    with nullcontext() if progress is None else telling(progress):
-        if method == DEFAULT_METHOD and not options and cases.count:
+    with nullcontext() if progress is None else telling(progress), within_time_of(options):
+        if method == DEFAULT_METHOD and not options.keys() - {"time_limit"} and cases.count:
             _by_influence(cases, rows)
         _one_by_one(cases, rows, method, options)
     return rows.solutions(cases, method, options, time.perf_counter() - started)
@@ -195,6 +195,8 @@ def _take_blocks(cases: LoadCases, rows: _Rows, influence: Influence, loaded: An
     solved, friction = SolvedCases(), np.zeros(m)
     origin = problem.slip_origin.ravel() if influence.rough and problem.slip_origin is not None else np.zeros(0)
     for numbers, loads in cases.blocks(loaded):
+        if arrays.time_is_up():
+            return
         free, sizes = influence.free(loads)
         for place, i in enumerate(numbers):
             at = place % len(free)
@@ -217,14 +219,14 @@ def _one_by_one(cases: LoadCases, rows: _Rows, method: str, options: dict[str, A
     before: Solution | None = None
     refused: InvalidProblem | None = None
     for i in np.flatnonzero(~rows.answered).tolist():
-        problem = cases.case(i)
         try:
-            found = _solved(problem, method, before, options)
+            arrays.refuse_late("this case was solved")
+            found = _solved(cases.case(i), method, before, options)
         except OF_ALL:
             raise
         except ContactQPError as error:
             refused = error if isinstance(error, InvalidProblem) else refused
-            rows.fail(i, error)
+            rows.failures[i] = str(error)
             continue
         rows.take(i, found)
         before = found if _is_unique(found) else None
@@ -292,10 +294,6 @@ class _Rows:
         closed = np.where(friction > 0, rough, NUMBER["closed"])
         self.status[i] = np.where(found.status == OPEN, NUMBER["open"], closed)
         self.passed[i] = self.proven[i] = self.answered[i] = self.started[i] = True
-
-    def fail(self, i: int, error: ContactQPError) -> None:
-        """Store why a case has no answer."""
-        self.failures[i] = str(error)
 
     def solutions(self, cases: LoadCases, method: str, options: dict[str, Any], seconds: float) -> Solutions:
         """Return the answers of all cases."""

@@ -28,6 +28,7 @@ from contactqp.solving.friction.contact_form import ContactForm
 from contactqp.solving.friction.local_form import LocalForm
 from contactqp.solving.friction_runs import found_by_enumeration
 from contactqp.solving.local_solving import local_equilibria
+from contactqp.solving.methods import within_time_of
 from contactqp.solving.solve import of_problem, solve
 
 
@@ -133,7 +134,7 @@ def associated_difference(
     method : str
         The exact method of both convex problems.
     **options
-        Further options of `solve`.
+        Further options of `solve`; `time_limit` [s] is that of both solutions together.
 
     Raises
     ------
@@ -157,8 +158,9 @@ def associated_difference(
         raise InvalidProblem("associated_difference: expected a problem with friction")
     if coulomb is not None and coulomb.problem is not problem:
         raise InvalidProblem("coulomb: expected a solution of this very problem")
-    right = solve(problem, method, **options) if coulomb is None else coulomb
-    other = solve(problem, method, algorithm="associated", **options)
+    with within_time_of(options):
+        right = solve(problem, method, **options) if coulomb is None else coulomb
+        other = solve(problem, method, algorithm="associated", **options)
     moved = other.displacement - right.displacement
     near = near_one(problem)
     seen = (moved, right.displacement) if near is None else map(near.displacement, (moved, right.displacement))

@@ -22,7 +22,7 @@ from contactqp.linalg.factorization import factorise
 from contactqp.linalg.pardiso import SOLVER_VARIABLE
 from contactqp.model import arrays
 from contactqp.model.solution import Answer
-from contactqp.solving import local_solving
+from contactqp.solving import equilibria, local_solving
 from contactqp.solving.friction.alart_curnier import newton
 from contactqp.solving.friction.algorithms import ALGORITHMS
 from contactqp.solving.friction.force_system import ForceSystem
@@ -442,3 +442,17 @@ def test_ctrl_c_ends_a_long_factorisation(while_factorising: Any) -> None:
     finally:
         signal.signal(signal.SIGINT, before)
     assert ended == [BY_ITS_PROGRESS]
+
+
+def test_a_time_limit_is_that_of_both_laws_together(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = equilibria.solve
+
+    def slowly(*arguments: Any, **options: Any) -> cq.Solution:
+        found = solved(*arguments, **options)
+        clock.passes(300.0)
+        return found
+
+    monkeypatch.setattr(equilibria, "solve", slowly)
+    assert cq.associated_difference(rough_truss(), time_limit=1000.0).coulomb.certificate.passed
+    with pytest.raises(cq.NotConverged, match="stopped at the time limit of 200 s"):
+        cq.associated_difference(fresh(rough_truss()), time_limit=200.0)
