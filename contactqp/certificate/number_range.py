@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from contactqp.certificate.bounds import Bounds
 from contactqp.errors import InvalidProblem, NoEquilibrium, NotCertified
+from contactqp.linalg.convexity import in_proportion
 from contactqp.linalg.equilibration import ALIKE, balanced_exponents, mostly_bare
 from contactqp.linalg.existence import BUT_FOR, Conflict, DrivenMotion
 from contactqp.model.arrays import Array, Index, Vector
@@ -414,8 +415,7 @@ def _of_constraints(problem: ContactProblem, entries: Any) -> Any:
 def _row_units(problem: ContactProblem) -> tuple[Index, Index]:
     """Return the exponents of D (n,), and of the rows of normals, ties and tangents.
 
-    Unknowns with stiffness have a unit diagonal; for others all entries of rows are similar, or their largest entry is
-    the largest of its row.
+    Unknowns with stiffness have a unit diagonal; others have similar entries of rows, or a largest one like its row's.
     """
     entries = _entries(_matrices(problem))
     count, exponent, stiff = entries.shape[0], _exponent(entries.data), problem.diagonal > 0
@@ -452,7 +452,7 @@ def _motions(motions: Array, unknowns: Index) -> Array:
 
 def _under_load(problem: ContactProblem, twin: ContactProblem, units: tuple[Index, Index, Index, Index]) -> NearOne:
     """Return the problem with its own load, gaps, ties and friction in units near one."""
-    unknowns, normal, across, tie = units
+    unknowns, normal, across, tie = units = (in_proportion(problem, units[0]), *units[1:])
     length = _length(problem, units)
     gap = np.minimum(np.ldexp(problem.gap, -normal - length), FAR_AWAY)
     values = twin._values() | dict(

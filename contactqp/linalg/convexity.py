@@ -21,9 +21,10 @@ from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
 from contactqp.linalg.floating import DEPENDENT_IN_ENERGY
+from contactqp.linalg.measures import untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
-from contactqp.model.arrays import EPS, Array, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Index, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import BUCKLED
@@ -404,6 +405,24 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     driven = [sum((y * z[j] for y, z in zip(weights[len(near) :], moving, strict=True)), Fraction(0)) for j in loose]
     part = 1 / sum(abs(Fraction(float(f)) * z) for f, z in zip(problem.load[loose], driven, strict=True))
     return f"the loads on a motion that nothing holds balance but for {float(part):.1g} of them: {DECIDED}"
+
+
+def in_proportion(problem: ContactProblem, unknowns: Index) -> Index:
+    """Return binary exponents of units (n,) in which loads on unknowns that nothing touches keep their size.
+
+    Such a load is rounding, as F sin(pi) is, if it is small beside the largest of the others as they are stated; the
+    unknown has no unit of its own.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    unknowns : (n,) exponents of the units of all unknowns, of which those that nothing touches are replaced
+    """
+    load, alone = problem.load_size, untouched(problem)
+    if not (load[alone].any() and load[~alone].any()):
+        return unknowns
+    size, unit = np.frexp(load[~alone])[1][load[~alone] > 0], unknowns[~alone][load[~alone] > 0]
+    return np.where(alone, np.max(size + unit) - np.max(size), unknowns)
 
 
 def _simplest(motions: Array, scale: Vector) -> list[list[Fraction]]:

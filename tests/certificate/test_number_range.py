@@ -469,3 +469,24 @@ def test_derivatives_have_their_digits_or_are_refused(size: float) -> None:
     assert rates(size) == pytest.approx(np.array([[1 / size], [0.0]]), rel=1e-9, abs=1e-9 / size)
     with pytest.raises(cq.InvalidProblem, match=r"derivatives: expected stiffnesses, .* from 3e-151 to 3e\+150"):
         rates(1e155)
+
+
+@pytest.mark.parametrize("friction", [None, 0.5])
+@pytest.mark.parametrize("soft", [-100, -60, 0, 60])
+@pytest.mark.parametrize(("part", "balances"), [(1e-3, False), (1e-8, False), (1e-12, False), (1e-15, True)])
+def test_a_load_that_nothing_resists_is_measured_beside_the_loads_as_they_are_stated(
+    soft: int, part: float, balances: bool, friction: float | None
+) -> None:
+    """A soft spring in units near one has a large load, beside which any other load would be rounding."""
+    tangent = None if friction is None else [[0.0, 1.0, 0.0]]
+    problem = cq.ContactProblem(
+        np.diag([2.0**soft, 1.0, 0.0]), [2.0, 1.0, part], [[1.0, 0.0, 0.0]], [5.0 * 2.0**-soft], tangent,
+        friction=friction,
+    )  # fmt: skip
+    answer = [2.0 * 2.0**-soft, 1.0, 0.0]
+    assert cq.certify(problem, answer, [0.0], None if friction is None else [0.0]).passed == balances
+    if balances:
+        assert cq.solve(problem).certificate.passed
+    else:
+        with pytest.raises((cq.NoEquilibrium, cq.NotCertified)):
+            cq.solve(problem)
