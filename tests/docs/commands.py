@@ -47,6 +47,7 @@ TYPED = {
     "contactqp init FILE --like NAME": "contactqp init my_case.toml --like bar_wall",
     "contactqp oracle": "contactqp oracle --help",
     "contactqp oracle CASE": "contactqp oracle bar_wall",
+    "contactqp oracle --time-limit": "contactqp oracle bar_wall --time-limit 60",
     "contactqp report": COMPARED,
     "contactqp report [-o DIR]": FULL,
     "contactqp report [CASE...] [-o DIR]": FULL,
