@@ -37,7 +37,6 @@ NOT_CALLED: dict[str, str] = {
        ("element_stiffness", "integration", "node_blocks", "stiffness_rule")},
     **{f"Mesh.{name}": "called with the mesh's own facets" for name in
        ("facets_of", "facets_within", "find_facets", "places")},
-    "ContactProblem.transformed": "called by a change of units, with arrays of the problem's own",
     **{f"NonlinearTruss.{name}": "called with the truss's own blocks and forces" for name in ("assembled", "summed")},
     "differentiable": "a bridge to packages that these tests do without",
     "Scene.model_copy": "pydantic's own",

@@ -26,7 +26,7 @@ from contactqp.linalg.convexity import overlap_by_rounding
 from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.existence import refuse_conflict
 from contactqp.linalg.extended import FINE_EPS, Extended, SparseRows, extend, extended_rows, residuals
-from contactqp.linalg.floating import UNRESISTED, independent_rows, that_move
+from contactqp.linalg.floating import UNRESISTED, independent_rows, without_rounded_motion
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import forces_that_meet, intrinsic_size, lengths_that_meet, of_rows, outer_forces
 from contactqp.linalg.nonnegative import Infeasible, dual_active_set, least_closing, nonnegative_least_squares
@@ -122,7 +122,7 @@ def refuse_unbalanced(
     problem, answer, condensation : ContactProblem, Answer, and the Condensation of the problem
     pair : AdmissiblePair, whose forces are examined
     """
-    rows, motions = extended_rows(problem), that_move(problem, condensation.rigid.motions)
+    rows, motions = extended_rows(problem), without_rounded_motion(problem, condensation.rigid.motions)
     onto = SparseRows(sp.csr_matrix(motions.T))
     outer = extend(problem.load) - rows.contact_force(pair.force, pair.tie_force)
     missed = abs((onto @ outer).double())

@@ -25,7 +25,7 @@ from contactqp.linalg.condensation import Condensation, free_motions
 from contactqp.linalg.dense import RigidMotions, SaddlePoint, orthonormal
 from contactqp.linalg.extended import Extended, extend, extended_rows
 from contactqp.linalg.factorization import RIGID_ENERGY, images
-from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, RESISTED, as_stated, that_move
+from contactqp.linalg.floating import DEPENDENT_IN_ENERGY, RESISTED, motions_as_stated, without_rounded_motion
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import (
     bodies,
@@ -275,7 +275,7 @@ def resisting_forces(
     cleared : the part of all forces that K was cleared of, after which motions that are stated make none
     """
     K, motions = extended_rows(problem).stiffness, condensation.rigid.motions
-    of = ~as_stated(problem, motions)[1] if cleared else np.ones(motions.shape[1], dtype=bool)
+    of = ~motions_as_stated(problem, motions)[1] if cleared else np.ones(motions.shape[1], dtype=bool)
     if not of.any():
         return np.zeros(problem.dimension)
     forces = np.column_stack([(K @ extend(z)).double() for z in motions.T[of]])
@@ -308,7 +308,7 @@ def balance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, neglig
     size = outer_forces(problem, answer)
     if negligible is not None and not problem.load_size.any() and np.all(size <= negligible):
         return 0.0
-    body, moved = bodies(problem), that_move(problem, rigid.motions)
+    body, moved = bodies(problem), without_rounded_motion(problem, rigid.motions)
     # If rounding of a large displacement hides the forces, bounds decide, which do not exist with friction.
     hidden = 1.0 if problem.frictional else 0.0
     worst = 0.0

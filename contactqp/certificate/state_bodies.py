@@ -33,7 +33,7 @@ from contactqp.linalg.delassus import (
     contact_compliance,
 )
 from contactqp.linalg.extended import FINE_EPS, extend, extended_rows, residuals
-from contactqp.linalg.floating import RESISTED, as_stated
+from contactqp.linalg.floating import RESISTED, motions_as_stated
 from contactqp.linalg.iterated_states import CombinationSystem, FrictionalAnswer, FrictionRows
 from contactqp.linalg.iteration import frictional_iteration, iterated, iteration
 from contactqp.linalg.measures import lengths, own_compliance, row_sizes
@@ -314,7 +314,7 @@ def with_rounding_of_motions(
     from contactqp.linalg.friction_states import refined_in
 
     rows = condensed_frictional_rows(problem, condensation)
-    stated = bool(as_stated(problem, condensation.rigid.motions)[1].all())
+    stated = bool(motions_as_stated(problem, condensation.rigid.motions)[1].all())
     start, found = compared.refined.answer(rows.width), compared.refined
     cleared = refined_in(problem, condensation, rows, compared.status, start, cleared=True)
     if not stated:

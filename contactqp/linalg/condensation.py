@@ -45,7 +45,7 @@ from contactqp.linalg.factorization import (
     stated_motions,
     unknowns_far_apart,
 )
-from contactqp.linalg.floating import NullSpace, as_stated, unresisted
+from contactqp.linalg.floating import NullSpace, motions_as_stated, unresisted
 from contactqp.linalg.pardiso import SOLVER_VARIABLE, NotPositive, TooLarge, available
 from contactqp.linalg.schur import CHOICES, FEW, LARGE, Elimination, LastBlock, NestedBlock, TrailingBlock, same_matrix
 from contactqp.model.arrays import CONDENSE, EPS, RUNNING, TINY, Array, Indices, Vector, refuse_late, stage
@@ -343,14 +343,14 @@ class Condensation:
         """Return the condensed problem, a ContactProblem that keeps its own condensation."""
         size = self.reduced_size(problem, inner)
         data = (self._held_schur(), reduced_load, size, self.normal, problem.gap, self.tie, problem.tie_value)
-        reduced = problem.transformed(*data)
+        reduced = problem._transformed(*data)
         reduced._computed.condensation, reduced._computed.unknown_scale = self._of_reduced(reduced), self.scale
         return reduced
 
     def cleared_rows(self, problem: ContactProblem) -> ExtendedRows:
         """Return rows whose stiffness is exactly zero along rigid motions."""
         if self._cleared is None:
-            weight, (motions, _) = np.sqrt(self._diagonal), as_stated(problem, self.rigid.motions)
+            weight, (motions, _) = np.sqrt(self._diagonal), motions_as_stated(problem, self.rigid.motions)
             inverse = np.asarray(np.linalg.pinv(weight[:, None] * motions) * weight, dtype=float)
             self._cleared = extended_rows(problem).cleared(motions, inverse)
         return self._cleared

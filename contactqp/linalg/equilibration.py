@@ -157,8 +157,8 @@ def _equilibrated(problem: ContactProblem, d: Array, r: Array, rounds: int = ROU
     d, r = _power_of_two(d), _power_of_two(r)
     m = problem.contacts
     scaled, stiffness = sp.csr_array(scaled_by(r, rows, d)), sp.csc_array(scaled_by(d, K, d))
-    nothing = np.zeros(problem.dimension)
-    twin = problem.transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], np.zeros(problem.ties))
+    nothing, free = np.zeros(problem.dimension), np.zeros(problem.ties)
+    twin = problem._transformed(stiffness, nothing, nothing, scaled[:m], np.zeros(m), scaled[m:], free)
     twin._computed.of_stiffness.elimination_order = elimination_order(problem)
     if extended_rows(problem).together is None:
         twin._computed.extended = _in_units(problem, twin, d, r)
@@ -416,7 +416,7 @@ def nondimensional(problem: ContactProblem) -> tuple[ContactProblem, Scaling]:
     length = float(np.max(np.concatenate([abs(load), -gap, abs(value)]), initial=0.0)) or 1.0
     K = problem.stiffness
     stiffness = sp.csc_array(sp.diags(D) @ K @ sp.diags(D)) if sp.issparse(K) else K * np.outer(D, D)
-    twin = problem.transformed(
+    twin = problem._transformed(
         stiffness, load / length, D * problem.load_size / length, normal, gap / length, tie, value / length
     )
     if (known := problem._computed.condensation) is not None:

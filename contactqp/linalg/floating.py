@@ -36,7 +36,7 @@ NO_ROOM = 0.5  # the least room that counts, where any room is scaled to 1
 STANDS_STILL = 256 * EPS
 
 
-def that_move(problem: ContactProblem, motions: Array) -> Array:
+def without_rounded_motion(problem: ContactProblem, motions: Array) -> Array:
     """Return rigid motions (n, r) with rounding errors at unknowns set to zero.
 
     If forces act only on such unknowns, their work would otherwise be rounding relative to rounding.
@@ -48,7 +48,7 @@ def that_move(problem: ContactProblem, motions: Array) -> Array:
     return np.where(still[:, None], 0.0, motions) if np.any(still & (sizes > 0)) else motions
 
 
-def as_stated(problem: ContactProblem, motions: Array) -> tuple[Array, Mask]:
+def motions_as_stated(problem: ContactProblem, motions: Array) -> tuple[Array, Mask]:
     """Return rigid motions as `near_null_space` states them, body by body where it spans them, and which it spans.
 
     These are exact, without rounded combinations; the motions of other bodies are returned as they were recognised.
@@ -276,7 +276,7 @@ def imbalance(problem: ContactProblem, answer: Answer, rigid: RigidMotions, larg
     rows = extended_rows(problem)
     if not rigid.count:
         return 0.0
-    motions = that_move(problem, rigid.motions)
+    motions = without_rounded_motion(problem, rigid.motions)
     outer = extend(problem.load) - rows.contact_force(extend(answer.normal_force), extend(answer.tie_force))
     missed = motions.T @ (outer - rows.friction_force(answer.friction_force)).double()
     size, whole = _acting_on(problem, answer, motions, largest)
@@ -289,7 +289,7 @@ def _acting_on(problem: ContactProblem, answer: Answer, motions: Array, largest:
     return np.asarray(size), np.asarray(whole)
 
 
-def made_of_motions(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
+def rigid_forces(problem: ContactProblem, answer: Answer, rigid: RigidMotions) -> float:
     """Return K z of rigid motions by rounding of K, relative to the outer forces.
 
     Of motions that are not stated it is only what may be a resistance that no outer force balances: what is more than
@@ -320,7 +320,7 @@ def imbalance_of_acting(problem: ContactProblem, answer: Answer, rigid: RigidMot
     if problem.near_null_space is not None:
         return missed
     beside = imbalance(problem, answer, rigid, _largest_outer_force(problem, answer))
-    return max(beside, made_of_motions(problem, answer, rigid), BALANCED)
+    return max(beside, rigid_forces(problem, answer, rigid), BALANCED)
 
 
 def _largest_outer_force(problem: ContactProblem, answer: Answer) -> float:

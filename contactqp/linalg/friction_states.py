@@ -40,7 +40,7 @@ from contactqp.linalg.floating import (
     imbalance,
     imbalance_of_acting,
     independent_rows,
-    made_of_motions,
+    rigid_forces,
 )
 from contactqp.linalg.measures import directions as directions_of
 from contactqp.linalg.measures import lengths, longest_stated
@@ -314,7 +314,7 @@ def refined_in(
         if cleared is False or not (rigid := condensation.rigid).count:
             return found
         answer = without_noise(problem, condensation.unknown_scale, rows, found.answer(rows.width), start)
-        if (missed := max(imbalance(problem, answer, rigid), made_of_motions(problem, answer, rigid))) <= BALANCED:
+        if (missed := max(imbalance(problem, answer, rigid), rigid_forces(problem, answer, rigid))) <= BALANCED:
             return found
     found = refined_by(system, problem, rows, status, start, exact=condensation.cleared_rows(problem))
     return found if cleared else replace(found, cleared=imbalance_of_acting(problem, answer, rigid, missed))

@@ -17,7 +17,7 @@ from contactqp.linalg.dense import BALANCED, SaddlePoint, saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import FINE_EPS, Extended, ExtendedAnswer, Residuals, extend, extended_rows, residuals_of
 from contactqp.linalg.factorization import RIGID_FORCE
-from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting, made_of_motions
+from contactqp.linalg.floating import UNRESISTED, imbalance, imbalance_of_acting, rigid_forces
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, shift_to_least_norm
 from contactqp.linalg.measures import forces_that_meet, lengths_that_meet, longest_stated, own_compliance, row_sizes
 from contactqp.linalg.nonnegative import forces_without_tension
@@ -99,7 +99,7 @@ def answer_on(
     found = _refined(problem, condensation, closed, start, residual, caution, at_rest)
     if not condensation.rigid.count:
         return found
-    missed = max(_imbalance(problem, condensation, found), made_of_motions(problem, found.doubles, condensation.rigid))
+    missed = max(_imbalance(problem, condensation, found), rigid_forces(problem, found.doubles, condensation.rigid))
     if missed <= BALANCED:
         return found
     again = _refined(problem, condensation, closed, start, None, caution, at_rest, cleared=True)

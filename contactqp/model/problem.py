@@ -265,7 +265,7 @@ class ContactProblem:
         self._refuse_exchanged_arrays()
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "_computed"}
 
-    def transformed(
+    def _transformed(
         self,
         stiffness: Matrix,
         load: Vector,
@@ -276,15 +276,9 @@ class ContactProblem:
         tie_value: Vector,
         named: bool = True,
     ) -> ContactProblem:
-        """Return this frictionless problem in other unknowns (condensed, scaled); nothing is checked again.
+        """Return this frictionless problem in other unknowns; rounding may make its stiffness indefinite, unchecked.
 
-        Rounding may make the transformed stiffness slightly indefinite, which is accepted.
-
-        Parameters
-        ----------
-        stiffness, load, normal, gap, tie, tie_value : the data in the other unknowns
-        load_size : (n,) array, the sum of sizes behind each entry of the load
-        named : bool, whether the rows are still the contacts and keep their names
+        `load_size` (n,) has the sizes behind each entry of the load; `named` rows are the contacts, with their names.
         """
         names = self.contact_names if named else None
         kept = dict(contact_names=names, tie_names=None, units=self.units, asymmetry=0.0, rigid_change=0.0)
@@ -365,9 +359,9 @@ class ContactProblem:
         return self.friction is not None and bool(np.any(self.friction > 0))
 
     def replace(self, **changes: Any) -> ContactProblem:
-        """Return the problem with other data; unchanged K and rows keep their factorisation.
+        """Return the problem with other data, by the names of its arguments; unchanged K and rows keep their factors.
 
-        New ties have the names that are given with them, or none.
+        New ties have the names given with them, or none. InvalidProblem is raised as by `ContactProblem`.
 
         >>> problem = ContactProblem(stiffness=[[2.0]], load=[1.0], normal=[[1.0]], gap=[0.0])
         >>> float(problem.replace(load=[3.0]).load[0])
@@ -408,7 +402,14 @@ class ContactProblem:
         return ContactProblem._of_checked(self.replace(load=load)._values() | dict(load_sum=size), self._computed)
 
     def with_contacts(self, contacts: Indices) -> ContactProblem:
-        """Return the problem with some of its contacts only; results that depend on K alone are kept."""
+        """Return the problem with these contacts alone, in this order and with their names; K keeps its factors.
+
+        `contacts` (c,) has their numbers from 0, or (m,) truth values; InvalidProblem is raised for any other.
+
+        >>> two = ContactProblem(stiffness=[[2.0]], load=[3.0], normal=[[1.0], [1.0]], gap=[0.5, 1.0])
+        >>> two.with_contacts([1]).gap, two.with_contacts([1]).contact_name(0)
+        (array([1.]), 'contact 1')
+        """
         kept, contacts = self._values(), read_places("contacts", contacts, self.contacts)
         kept.update(normal=self.normal[contacts], gap=self.gap[contacts])
         if self.tangent is not None and self.friction is not None and self.slip_origin is not None:
@@ -447,7 +448,7 @@ class ContactProblem:
         return contacts | (self.gap == np.inf), ties
 
     def with_ties(self, ties: Indices) -> ContactProblem:
-        """Return the problem with some of its ties only, with their names."""
+        """Return the problem with these ties alone, as `with_contacts` does with contacts."""
         ties = read_places("ties", ties, self.ties)
         names = tuple(map(self.tie_name, ties.tolist()))
         kept = self._values() | dict(tie_names=names, tie=self.tie[ties], tie_value=self.tie_value[ties])

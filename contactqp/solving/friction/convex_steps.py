@@ -190,7 +190,7 @@ class ConvexSteps:
     ) -> tuple[Vector, Vector]:
         """Solve one convex step by the method; return the minimiser and the multipliers of the ties."""
         stiffness = self._P if self._form.sparse else self._P.toarray()
-        inner = ContactProblem(stiffness=np.zeros((1, 1)), load=[0.0], normal=np.zeros((0, 1)), gap=[]).transformed(
+        inner = ContactProblem(stiffness=np.zeros((1, 1)), load=[0.0], normal=np.zeros((0, 1)), gap=[])._transformed(
             stiffness, load, abs(load), rows["normal"], gap, rows["tie"], ties
         )
         try:

@@ -214,7 +214,7 @@ class _Run:
         rows, m, p = self._rows, self.problem.contacts, len(self._rows.S)
         bounded = np.flatnonzero(rows.slides & (bound > NO_BOUND * np.max(bound, initial=0.0)))
         count, T, o = len(bounded), rows.tangent[bounded], self._origin[bounded]
-        inner = self.problem.transformed(
+        inner = self.problem._transformed(
             _block_diagonal(rows.S, np.zeros((count, count))),
             np.concatenate([self._load, -bound[bounded]]),
             np.concatenate([self._load_size, bound[bounded]]),
@@ -245,7 +245,7 @@ class _Run:
         stuck = np.flatnonzero(rows.slides & (rows.coefficient > 0))
         ties, values = np.vstack([rows.tangent[stuck], rows.tie]), np.concatenate([self._origin[stuck], self._value])
         data = (rows.S, self._load, self._load_size, rows.normal, self._gap, ties, values)
-        u, force, tie = self._convex_answer(self.problem.transformed(*data, named=False), 0)
+        u, force, tie = self._convex_answer(self.problem._transformed(*data, named=False), 0)
         friction = np.zeros(m)
         friction[stuck] = tie[: len(stuck)]
         return _Step(u, force, friction, tie[len(stuck) :])
