@@ -94,7 +94,8 @@ def impact(
     start_time : float
         The time of the start. `MotionHistory.resume` continues a motion from where it ended or failed.
     method, **options
-        The method for the small problem of each step, any exact one, and its options, as in `solve`.
+        The method for the small problem of each step, any exact one, and its options, as in `solve`; `time_limit` [s]
+        is that of the whole motion.
 
     Returns
     -------

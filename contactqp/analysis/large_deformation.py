@@ -101,7 +101,7 @@ def large_deformation(
     max_iter : int
         The most iterations of Newton's method in a step.
     **options
-        Further options of `solve`: `penalty`, `algorithm`, ...
+        Further options of `solve`: `penalty`, `algorithm`, ...; `time_limit` [s] is that of the whole path.
 
     Returns
     -------

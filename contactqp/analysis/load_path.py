@@ -73,8 +73,9 @@ def follow_path(
         gap or its force vanishes, and slips where |l_T| = mu l_N; whether it slips on, and what follows where several
         change at once or the load turns, is Coulomb's law in rates (`contactqp.analysis.friction_events`).
     method, **options
-        As in `solve`. With friction the steps in the plane are taken by Newton's method on the combination of open,
-        stick and slip (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex
+        As in `solve`; `time_limit` [s] is that of the whole path.
+        With friction the steps in the plane are taken by Newton's method on the combination of open, stick and slip
+        (`contactqp.solving.friction.newton`) unless `algorithm` names another; `method` is the convex
         method of the fixed point that it falls back to. A textbook method with systems of stick and slip takes the
         steps itself. With the penalty and perturbed Lagrangian methods the path is that of bodies on contact springs,
         in steps or from event to event: the sliders behind the springs slip, a slip origin is where they were, elastic

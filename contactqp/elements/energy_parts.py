@@ -316,10 +316,18 @@ class _Bound:
 class AtMost(_Bound):
     """The constraint form(u) <= bound; its force is the multiplier, not negative, that acts against growth.
 
+    Parameters
+    ----------
+    name : str
+    form : mapping from names of unknowns to factors
+        form(u) is the sum of factors times unknowns.
+    bound : float
+        In the unit of the form.
+
     Raises
     ------
     InvalidProblem
-        The form or the bound is none.
+        `form` is no such mapping, or `bound` is not a number.
     """
 
     def contribution(self) -> Contribution:
@@ -332,10 +340,18 @@ class AtMost(_Bound):
 class AtLeast(_Bound):
     """The constraint form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
 
+    Parameters
+    ----------
+    name : str
+    form : mapping from names of unknowns to factors
+        form(u) is the sum of factors times unknowns.
+    bound : float
+        In the unit of the form.
+
     Raises
     ------
     InvalidProblem
-        The form or the bound is none.
+        `form` is no such mapping, or `bound` is not a number.
     """
 
     def contribution(self) -> Contribution:
@@ -348,10 +364,7 @@ class AtLeast(_Bound):
 class Equal(_Bound):
     """The constraint form(u) = bound, a support or a tie of several unknowns; its force is nu of K u + A'nu = f.
 
-    Raises
-    ------
-    InvalidProblem
-        The form or the bound is none.
+    Parameters and errors are those of `AtMost`.
     """
 
     bound: float = 0.0

@@ -39,6 +39,10 @@ def local_form_of(problem: ContactProblem | GlobalProblem | LocalProblem) -> Loc
     For a symmetric M the Delassus operator W is symmetrised, which removes rounding only; for an unsymmetric M it is
     left as computed, and `asymmetry` measures it. Contacts with infinite gaps, which never close, are left out.
 
+    Parameters
+    ----------
+    problem : ContactProblem or GlobalProblem, both with tangential rows; a LocalProblem is returned as it is
+
     Raises
     ------
     InvalidProblem

@@ -406,9 +406,22 @@ DECK_READER = "contactqp.scene.deck.deck:read_deck_problem"
 
 @checked
 def read_problem(path: Path, *, as_stored: bool = False) -> ContactProblem | LocalProblem | GlobalProblem:
-    """Return the problem in a folder or .npz of matrices, a quadratic program, a deck, or a file of FCLIB or Siconos.
+    """Return the problem in a folder of matrices or in a file of another code.
 
-    Parameters, results and errors are those of `read_fclib`; matrices and decks make a ContactProblem.
+    Parameters
+    ----------
+    path : path
+        A folder or .npz of matrices, a quadratic program (.qps, .mps, .mat, .npz) or a deck (.inp), which make a
+        ContactProblem, or a file of FCLIB (HDF5) or Siconos (text), which makes what `read_fclib` says.
+    as_stored : bool
+        Return FCLIB's global form unchanged, as a GlobalProblem.
+
+    Raises
+    ------
+    InvalidProblem
+        The path holds none of these, or numbers are missing or wrong; the message names file and place.
+    Unsupported, BackendMissing
+        The file states what is not offered, or the package that reads it is missing.
     """
     return read_problem_with_ledger(path, as_stored=as_stored)[0]
 
@@ -424,7 +437,7 @@ def read_problem_with_ledger(
         found: tuple[ContactProblem, Ledger] = getattr(importlib.import_module(module), function)(path)
         return found
     if is_of_matrices(path):
-        folder = _folder(path)
+        folder = FilePath(path).parent if FilePath(path).name == PROBLEM_FILE else FilePath(path)
         if folder.is_dir() and not is_problem_folder(folder):
             raise InvalidProblem(f"{path}: expected {EXPECTED}, got a folder without problem.json or stiffness")
         return read_problem_folder(folder) if folder.is_dir() else read_problem_archive(path)
@@ -445,13 +458,9 @@ def is_deck(path: Path) -> bool:
 def is_of_matrices(path: Path) -> bool:
     """Return whether this is a folder (or the problem.json in it) or an archive of matrices, or a deck."""
     file = FilePath(path)
-    if os.path.isdir(file):
+    if os.path.isdir(file) or file.name == PROBLEM_FILE or file.suffix.lower() in (*ARCHIVE, *DECK):
         return True
-    if os.path.isfile(file) and is_quadratic_program(path):
-        return True
-    if file.name == PROBLEM_FILE or file.suffix.lower() in (*ARCHIVE, *DECK):
-        return True
-    return os.path.isfile(file) and read_bytes(path, EXPECTED, len(ZIP)) == ZIP
+    return os.path.isfile(file) and (is_quadratic_program(path) or read_bytes(path, EXPECTED, len(ZIP)) == ZIP)
 
 
 def is_problem_file(path: Path) -> bool:
@@ -465,22 +474,12 @@ def is_problem_file(path: Path) -> bool:
         return is_problem_folder(file)
     if suffix == ".toml":
         return False
-    if (
-        suffix in (*HDF5, *TEXT, *QPS, *MATLAB, *DECK)
-        or file.name == PROBLEM_FILE
-        or suffix in (*ARCHIVE, *stiffness_suffixes())
-    ):
+    if suffix in (*HDF5, *TEXT, *QPS, *MATLAB, *DECK, *ARCHIVE, *stiffness_suffixes()) or file.name == PROBLEM_FILE:
         return True
     if not file.is_file():
         return False
     head = read_bytes(path, EXPECTED, HEAD)
-    first = head.split(maxsplit=1)[:1]
-    return is_hdf5(head) or head.startswith(ZIP) or bool(first and first[0].isdigit())
-
-
-def _folder(path: Path) -> FilePath:
-    file = FilePath(path)
-    return file.parent if file.name == PROBLEM_FILE else file
+    return is_hdf5(head) or head.startswith(ZIP) or (head.split(maxsplit=1) or [b""])[0].isdigit()
 
 
 def _ledger(path: Path, problem: ContactProblem | LocalProblem | GlobalProblem, code: str) -> Ledger:

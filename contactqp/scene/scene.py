@@ -108,10 +108,13 @@ LARGEST = 2**25
 
 @checked
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read and check a case file, or standard input where the path is "-".
+    """Read and check a case file. Its numbers are read as decimals, so that 0.1 is 1/10.
 
-    A bare name such as ``"bar_wall"``, without a file of that name, is a case that comes with the package. Numbers are
-    read as decimals, so that 0.1 is 1/10.
+    Parameters
+    ----------
+    path : path
+        A file, "-" for standard input, or a bare name such as ``"bar_wall"``: without a file of that name it is a case
+        that comes with the package.
 
     Raises
     ------
@@ -280,19 +283,19 @@ def run(
         A name of `contactqp.methods()`.
     engine : str
         "serial": in this process. "petsc": on all ranks of MPI, each of which calls this and gets the same history;
-        `method` is "active-set", and load paths take steps without friction. Each rank makes its own piece of elastic
-        bodies; what a solution of them returns is gathered on access, so that all ranks have to access it together.
+        `method` is "active-set", and load paths take steps. Each rank makes its own piece of elastic bodies; what a
+        solution of them returns is gathered on access, so that all ranks have to access it together.
     checkpoint : str or Path, optional
         With "petsc", a folder where every step is kept. Steps that are there already are not solved again, whatever
         number of ranks has solved them.
     **options
-        Options of `contactqp.solve`, with numbers in the scene's units.
+        Options of `contactqp.solve`, with numbers in the scene's units; `time_limit` [s] is that of all steps.
 
     Raises
     ------
     Unsupported
-        With "petsc", a motion, large deformations, exact events, a load path with friction, or a method or an option of
-        one process.
+        With "petsc", a motion, large deformations, exact events, a `checkpoint` of a load path with friction, or a
+        method or an option of one process.
     InvalidProblem
         A `checkpoint` of another scene; and as `contactqp.solve`.
     """

@@ -199,6 +199,10 @@ def existence_margin(problem: ContactProblem | LocalProblem) -> float:
     scale in which contacts have a compliance of one and q entries of size one. Where it is positive, forces that
     satisfy the law exist; where it is not, they may exist all the same.
 
+    Parameters
+    ----------
+    problem : ContactProblem with friction, or LocalProblem
+
     Raises
     ------
     InvalidProblem
