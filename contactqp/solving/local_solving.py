@@ -247,8 +247,10 @@ class _Judge:
         )
 
 
-# Answers are equal if their velocities agree to this part of the sizes of their terms.
+# Answers are equal if their velocities agree to this part of the sizes of their terms, which are at least the second
+# part of the largest: together, the rounding of displacements.
 SAME_VELOCITY = 1e-8
+NONE_BESIDE = DISPLACEMENT_ROUNDING / SAME_VELOCITY
 
 
 def enumerated(form: LocalForm) -> Iterator[Iterate]:
@@ -264,6 +266,7 @@ def enumerated(form: LocalForm) -> Iterator[Iterate]:
         found = newton(form, Iterate.at(form, force, y[2 * form.m :]))
         answers = form.velocity(found.force, found.joint_force).ravel() - form.q
         sizes = abs(form.W) @ abs(found.force).ravel() + abs(form.V) @ abs(found.joint_force)
+        sizes += NONE_BESIDE * np.max(sizes, initial=0.0)  # nothing but rounding may meet in an entry
         # Answers whose violation exceeds the difference of velocities may be replaced by a better one.
         if found.error <= SAME_VELOCITY * max(1.0, float(np.max(sizes, initial=0.0))):
             if any(np.all(abs(answers - u) <= SAME_VELOCITY * np.maximum(sizes, size)) for u, size in seen):

@@ -167,3 +167,16 @@ def test_findings_are_found_when_they_are_read_and_kept_in_copies(monkeypatch: p
     count = len(examined)
     assert replace(again, passed=False).uniqueness == (POSSIBLE,)
     assert len(examined) == count
+
+
+def test_velocities_that_differ_by_rounding_are_listed_once() -> None:
+    """Contact 0 presses with one; nothing moves at contact 1, where rounding alone meets, in any of its states."""
+    W = np.array([[8.0, 0.0, -4.0, 0.0], [0.0, 9.0, -1.0, 10.0], [-4.0, -1.0, 3.0, -2.0], [0.0, 10.0, -2.0, 13.0]])
+    W += 2.0**-20 * np.eye(4)
+    problem = cq.LocalProblem(delassus=W, offset=[-W[0, 0], -2.0, 4.0, 1.0], friction=[0.0, 8.0], dimension=2)
+    [found] = cq.equilibria(problem)
+    np.testing.assert_allclose(found.velocity, [[0.0, -2.0], [0.0, 1.0]], atol=1e-12)
+    W = np.array([[1.25, -1.0, 2.0, 2.0], [-1.0, 5.25, 0.0, -2.0], [2.0, 0.0, 5.25, 4.0], [2.0, -2.0, 4.0, 4.25]])
+    three = cq.LocalProblem(delassus=W, offset=[-2.0, -1.0, -5.25, -4.0], friction=[1.0, 0.125], dimension=2)
+    slips = np.sort([one.velocity[0, 1] for one in cq.equilibria(three)])  # of the rational answers
+    np.testing.assert_allclose(slips, [-1.0, -11.0 / 14.0, 0.0], atol=1e-12)
