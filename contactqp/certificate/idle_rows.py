@@ -319,7 +319,7 @@ def with_forces_without_law(problem: ContactProblem, answer: Answer, certificate
     one; where the bodies are not condensed by |D E'l| with D = 1/sqrt(K_jj).
     """
     load, push, friction = forces_without_law(problem, answer)
-    if certificate.violations is None or not load.any():
+    if certificate.violations is None or not (load.any() or friction.any()):
         return certificate
     near = near_one(problem)
     seen, theirs, unit = (problem, answer, 0) if near is None else (near.problem, near.answer(answer), near.length)

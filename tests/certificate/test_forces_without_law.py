@@ -366,3 +366,15 @@ def test_stray_friction_is_compared_with_the_contact_forces_beside_a_body_that_i
     assert found.force_error is not None
     assert found.force_error >= 1e-3 * (1 - 1e-9)
     assert not cq.certify(problem, [1.0, 0.0, 0.0], [1e-6], [1e-9]).passed
+
+
+@pytest.mark.parametrize("stray", [1e-13, 1e-10])
+def test_bounds_contain_stray_friction_on_a_support(stray: float) -> None:
+    """It moves nothing, but without a coefficient of friction no value within the cone but zero is right."""
+    problem = cq.ContactProblem(
+        [[2.0, 0.0], [0.0, 1.0]], [3.0, 1.0], [[1.0, 0.0], [0.0, 1.0]], [1.0, 0.5],
+        tangent=[[0.0, 0.0], [0.0, 0.0]], friction=[0.0, 0.5],
+    )  # fmt: skip
+    found = cq.certify(problem, [1.0, 0.5], [1.0, 0.5], [stray, 0.0])
+    assert found.force_bound is not None
+    assert found.force_bound[0] >= stray
