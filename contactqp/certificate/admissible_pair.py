@@ -418,20 +418,20 @@ def bounds_apart(
 
     Parameters
     ----------
-    problem, answer : ContactProblem, Answer
-    elastic : (n,) array of bool, the unknowns of parts with stiffness
-    condensed : the function that returns the Bounds of one part, from its problem, answer, residuals and condensation
-    by_energy : the function that returns those of a part without stiffness, or None
+    problem, answer, elastic : ContactProblem, Answer, and (n,) array of bool, the unknowns of parts with stiffness
+    condensed, by_energy : return Bounds of a part from its data; the latter those without stiffness, or it is None
     """
-    found = []
+    found, single = [], None
     for mask in (elastic, ~elastic):
         unknowns = np.flatnonzero(mask)
         contacts, ties = (np.unique(rows[:, unknowns].tocoo().row) for rows in (problem.normal, problem.tie))
         part = _part(problem, unknowns, contacts, ties)
         own = Answer(answer.displacement[unknowns], answer.normal_force[contacts], None, answer.tie_force[ties])
         its = condensed(part, own, residuals(part, own), condensation := condense(part))
-        seen = by_energy is None or mask is elastic
-        found.append((unknowns, contacts, its if seen else by_energy(part, own, its, condensation.rigid)))
+        if by_energy is not None and mask is not elastic:
+            its = by_energy(part, own, its, condensation.rigid)
+        single = single if its.single is None else its.single.among(problem, (contacts, ties), single)
+        found.append((unknowns, contacts, its))
     bounds, rigid = (one for *_, one in found)
     bound, relative, solution = np.zeros(problem.contacts), np.zeros(problem.contacts), None
     if bounds.solution is not None and rigid.solution is not None:
@@ -441,14 +441,14 @@ def bounds_apart(
         relative[contacts] = 0.0 if one.relative_force_bound is None else one.relative_force_bound
         if solution is not None:
             solution.hi[at], solution.lo[at] = one.solution.hi, one.solution.lo
-    missed = 0.0 if rigid.force_error is None or not problem.ties else rigid.force_error * rigid.force_scale
     return replace(
         bounds,
         energy_error=None if rigid.energy_error is None else bounds.energy_error,
         force_error=None if rigid.force_error is None else bounds.force_error,
         force_bound=None if len(bound) and np.isnan(bound).all() else bound,
         relative_force_bound=relative,
-        ties=max(bounds.ties, (missed, rigid.force_scale)),
+        ties=max(bounds.ties, ((rigid.force_error or 0.0) * rigid.force_scale * (problem.ties > 0), rigid.force_scale)),
+        single=single,
         solution=solution,
         determined=BY_ENERGY if BY_ENERGY in (bounds.determined, rigid.determined) else bounds.determined,
         suspicious=bounds.suspicious or rigid.suspicious,

@@ -84,10 +84,11 @@ from contactqp.certificate.figures import (
 )
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import unique_forces
+from contactqp.linalg.convexity import SingleErrors, single_errors
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import Extended, Residuals, extend
+from contactqp.linalg.floating import unique_forces
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import force_size, intrinsic_size, lengths_that_meet, of_rows, own_compliance, parts
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish
@@ -118,7 +119,8 @@ class Bounds:
     energy_scale: float = 0.0  # |u*|_K or a lower bound
     force_scale: float = 0.0  # |l*|_W likewise
     largest_force: float = 0.0  # max |l*_i| |E_i D|, D = 1/sqrt(K_jj), of ties where no contact presses; no friction
-    ties: tuple[float, float] = (0.0, 0.0)  # max |nu_i - nu*_i| |A_i D|, max |nu*_i| |A_i D|, if contacts have none
+    ties: tuple[float, float] = (0.0, 0.0)  # the error and the size of all forces of ties, if contacts have none
+    single: SingleErrors | None = None  # of forces of contacts and ties that are unique, where ties or no stiffness act
     rounding: float = 0.0  # the rounding of the refinement
     rigid_rounding: float = 0.0  # the energy norm of the rounding of a rigid displacement
     force_rounding: float = 0.0  # |l|_W below this is rounding of forces that do not strain the bodies
@@ -152,9 +154,8 @@ class Bounds:
 
     def claimed(self, tolerance: float) -> Bounds:
         """Return these bounds, which hold if bodies float, or none where it matters and the numbers do not tell."""
-        if not (self.estimated and self.cleared > tolerance):
-            return self
-        return no_bounds(UNTOLD_RESISTANCE.format(self.cleared))
+        untold = self.estimated and self.cleared > tolerance
+        return no_bounds(UNTOLD_RESISTANCE.format(self.cleared)) if untold else self
 
     @cached_property
     def basis(self) -> str:
@@ -331,7 +332,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
     vanishing = max(NEXT_TO_NOTHING * energy_scale, rounding, force_rounding, 2 * pair.undecided)
     force_bound, unique = _force_bound(problem, answer, condensation, pair)
     every = np.ones(problem.contacts + problem.ties, dtype=bool) if unique is None else unique
-    error, scale, ties = _force_error(problem, condensation, pair, changes, vanishing, force_bound, every)
+    error, scale, single = _force_error(problem, condensation, pair, changes, vanishing, force_bound, every)
     # So does a strain that is negligible beside that of contact forces, which the load balances directly.
     energy_scale = 0.0 if energy_scale <= NEXT_TO_NOTHING * scale else energy_scale
     elastic = problem.diagonal.any()  # otherwise all energy norms are zero
@@ -358,7 +359,7 @@ def _from_pair(problem: ContactProblem, answer: Answer, condensation: Condensati
         energy_error=energy_error if elastic else 0.0,
         force_error=error + of_shared / (scale or 1.0) if elastic else 0.0,
         force_scale=scale,
-        ties=ties,
+        single=single,
         shared=of_shared / (scale or 1.0),
         largest_force=largest,
         force_bound=np.where(every[: problem.contacts], force_bound, np.nan),
@@ -378,8 +379,8 @@ def _force_error(
     vanishing: float,
     bound: Vector,
     every: Mask,
-) -> tuple[float, float, tuple[float, float]]:
-    """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and the ties'.
+) -> tuple[float, float, SingleErrors | None]:
+    """Return the bound (3) on the distance of the answer's forces from the pair's over |l*|_W, |l*|_W, and each error.
 
     `changes` are the answer's forces of contacts (m,) and ties (k,) less the pair's. Forces up to `vanishing` are
     rounding. Where ties act, W is also taken without them, of all forces, which are |w - u*|_K from the true ones, and
@@ -403,20 +404,17 @@ def _force_error(
     seen = len(found) > 1 and (found[0][1] > 0 or (alone in norms and found[1][1] > 0))
     if seen and found[0][1] <= found[0][2] - pair.dual_radius:
         found = found[1:]  # contact forces are balanced by ties up to rounding
-    largest, missed, (_, size, uncertain) = 0.0, 0.0, found[0]
-    if pair.exact and unique.any():
-        own = own_forces(problem, pair.force.double(), pair.tie_force.double())
-        # A contact at unknowns without stiffness pushes on what ties hold to them.
-        unseen = extend(np.where(own[: problem.contacts] == 0, pair.force.double(), 0.0))
-        largest = max(float(np.max(own)), force_norm(problem, condensation, unseen)[0])
-        missed = float(np.max(own_forces(problem, np.zeros(problem.contacts), unique * changes[1].double())))
+    largest, missed, single, (_, size, uncertain) = 0.0, 0.0, None, found[0]
+    if pair.exact and (unique.any() or not problem.diagonal.all()):
+        errors = every * abs(np.append(bound + abs(changes[0].double()), changes[1].double()))
+        single = single_errors(problem, errors, np.append(pair.force.double(), pair.tie_force.double()))
+        largest, missed = np.max(single.largest, initial=0.0), np.max(single.felt[problem.contacts :], initial=0.0)
     if size == 0:  # those of ties are compared directly, too; zeros of the pair may be as large as its radius
         absolute = max(max(apart for apart, *_ in found) + uncertain, missed)
         untold = float(np.max(own_forces(problem, bound, np.zeros(problem.ties)), initial=0.0)) if problem.ties else 0.0
         known = (untold if pair.exact else pair.dual_radius) <= max(vanishing, LEAST_PART * largest)
-        return (absolute if known else np.inf), size, (missed, largest)
-    errors = (relative_error(apart, scale, unsure) for apart, scale, unsure in found)
-    return max(missed / largest if largest > 0 else 0.0, *errors), size, (0.0, 0.0)
+        return (absolute if known else np.inf), size, single
+    return float(max(missed / largest if largest > 0 else 0.0, *(relative_error(*one) for one in found))), size, single
 
 
 def relative_error(error: float, scale: float, uncertainty: float) -> float:
@@ -469,9 +467,8 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
         ("force_error", "contact forces", bounds.force_scale, 0.0, pushed, rigidly),
     )
     for name, what, scale, none, absolute, forgiven in pairs:
-        value = getattr(bounds, name)
-        if name == "energy_error" and bounds.by_energy:
-            value = bounds.apart  # `energy_failures` judges the energy itself
+        by_energy = name == "energy_error" and bounds.by_energy  # `energy_failures` judges the energy itself
+        value = bounds.apart if by_energy else getattr(bounds, name)
         if value is None:
             continue
         if scale > none:
@@ -484,17 +481,19 @@ def error_failures(bounds: Bounds, tolerance: float, nothing: float) -> Iterator
             cure = STATE_MOTIONS if name == "force_error" and bounds.shared > value / 2 else ""
             yield f"{name}: the {what} may be off by {value:.3g} {kind} (tolerance {limit:.3g}){cure}"
     missed, largest = bounds.ties
-    if missed > max(tolerance * largest, bounds.rounding, nothing):
-        size = missed / (largest or missed)
-        yield f"force_error: the force of a tie may be off by {size:.3g} of the largest (tolerance {tolerance:.3g})"
+    worst = None if bounds.single is None else bounds.single.worst_tie(tolerance, bounds.rounding, nothing)
+    if worst is None and missed > max(tolerance * largest, bounds.rounding, nothing):
+        worst = "a tie", missed / (largest or missed)
+    if worst is not None:
+        yield "force_error: the force of {} may be off by {:.3g} of the largest (tolerance {:.3g})".format(
+            *worst, tolerance
+        )
 
 
 def force_bound_fails(bounds: Bounds, tolerance: float, nothing: float) -> bool:
-    """Return whether the bound on the force of a contact is beyond the tolerance; errors up to `nothing` count as zero
-    on floating bodies [sqrt(energy)], as loads may be far larger than the forces.
-    """
-    relative = bounds.relative_force_bound
-    beneath = bounds.rounding / bounds.force_scale if bounds.force_scale > 0 else 0.0
-    if bounds.largest_force > 0:
-        beneath = max(bounds.rounding, nothing) / bounds.largest_force
-    return relative is not None and bounds.force_bound is not None and not (relative <= max(tolerance, beneath)).all()
+    """Return whether the bound of a contact force exceeds the tolerance and `nothing` [sqrt(energy)]."""
+    relative, single = bounds.relative_force_bound, bounds.single
+    beneath = bounds.rounding / (bounds.largest_force or bounds.force_scale or np.inf)
+    none = max(beneath, nothing / bounds.largest_force) if bounds.largest_force > 0 else beneath
+    allowed = none if single is None else single.nothing(tolerance, beneath, none)[: single.problem.contacts]
+    return not (relative is None or bounds.force_bound is None or np.all(relative <= np.maximum(tolerance, allowed)))

@@ -44,8 +44,10 @@ from contactqp.linalg.convexity import (
     DECIDED,
     DEFINITE,
     REGULAR,
+    SingleErrors,
     StiffnessFactor,
     diagonal_dominance,
+    single_errors,
     stiffness_factor,
 )
 from contactqp.linalg.dense import RigidMotions
@@ -209,10 +211,9 @@ def _from_solution(
     sees = unique.displacement and problem.diagonal.any() and not bare
     scale = strain if sees else max(strain, float(np.sqrt(2 * size)))
     scale = scale if scale > least else 0.0
-    strained = strain if strain > least else scale
-    largest = float(np.linalg.norm(np.concatenate([solution.normal_force, solution.tie_force])))
-    largest = largest if largest > least else 0.0
-    change, missed, (by_residual, by_strain, back) = _missed_forces(problem, answer, held, unique.forces)
+    whole = float(np.linalg.norm(np.append(solution.normal_force, solution.tie_force)))
+    largest = whole if whole > least else 0.0
+    change, missed, (by_residual, by_strain, back), single = _missed_forces(problem, answer, held, unique.forces)
     gap = (extend(problem.gap) - problem.normal @ answer.displacement).double()
     above = 0.5 * distance * distance + float(solution.normal_force @ np.maximum(gap, 0.0)) + 2 * wide
     away = np.inf if unique.displacement else AWAY * imposed_work(problem, solution)  # along a free motion only
@@ -221,18 +222,19 @@ def _from_solution(
     by_strain, untold = by_strain * max(apart, TINY) + _on_open_contacts(held, apart + back), apart + back
     bounded = unique.forces and bool(np.all(np.isfinite(by_residual)) and np.all(np.isfinite(by_strain)))
     missed, error = missed + (float(np.linalg.norm(by_residual)) if bounded else 0.0), distance + untold
-    if not sees:
-        error = max(error, float(np.sqrt(2 * above)))
+    error = error if sees else max(error, float(np.sqrt(2 * above)))
     pushed = max(float(np.linalg.norm(solution.normal_force)), LEAST_PART * largest)
     own = change + by_residual[: problem.contacts]
-    known = np.isfinite(own + by_strain)
+    known, there = np.isfinite(own + by_strain), 0.0 if single is None else single.of_bare_contacts
+    relative = np.where(known, np.maximum(own / (pushed or 1.0), there), 0.0)
     judged = bounded or (not unique.forces and bool(known.any()))
     found = Bounds(
-        energy_error=_relative(error * root, strained * root),
+        energy_error=_relative(error * root, (strained := strain if strain > least else scale) * root),
         force_error=_relative(missed * root, largest * root),
         # Rigid motions by rounding of balanced loads widen the bounds but do not make the answer wrong.
         force_bound=np.where(known, own + by_strain, np.nan) * scaling.force / scaling.contacts if judged else None,
-        relative_force_bound=np.where(known, own, 0.0) / pushed if judged and pushed > least else None,
+        relative_force_bound=relative if judged and pushed > least else None,
+        single=single and replace(single, felt=root * single.felt, largest=root * single.largest),
         energy_scale=scale * root,
         force_scale=largest * root,
         rounding=least * root,
@@ -256,21 +258,24 @@ def _from_solution(
 
 def _missed_forces(
     problem: ContactProblem, answer: Answer, held: ClosedState, unique: bool
-) -> tuple[Vector, float, tuple[Vector, Vector, float]]:
-    """Return |l - L| (m,), the norm of what all forces differ by, and `_force_errors`.
+) -> tuple[Vector, float, tuple[Vector, Vector, float], SingleErrors | None]:
+    """Return |l - L| (m,), the norm of what all forces differ by, `_force_errors`, and the errors one by one.
 
     Redundant rows may have other forces, with the same resultant, but not rows that do not depend on others.
     """
-    change = (extend(answer.normal_force) - held.answer.normal_force).double()
-    turned = (extend(answer.tie_force) - held.answer.tie_force).double()
-    missed = float(np.linalg.norm(np.concatenate([change, turned])))
-    errors = _force_errors(problem, held, unique)
+    pairs = (answer.normal_force, held.answer.normal_force), (answer.tie_force, held.answer.tie_force)
+    change, turned = ((extend(one) - other).double() for one, other in pairs)
+    missed = float(np.linalg.norm(apart := np.append(change, turned)))
+    errors, single = _force_errors(problem, held, unique), None
+    if not mostly_bare(problem) and (problem.ties or not problem.diagonal.all()):
+        forces = np.append(*(other.double() for _, other in pairs))
+        single = single_errors(problem, np.where(np.isfinite(errors[0]), abs(apart) + errors[0], 0.0), forces)
     if not unique:
         resultant = float(np.linalg.norm(problem.normal.T @ change + problem.tie.T @ turned))
         alone = abs(turned) + errors[0][problem.contacts :]
         missed = max(min(missed, resultant), float(np.linalg.norm(alone[np.isfinite(alone)])))
         errors = *errors[:2], 0.0
-    return abs(change), missed, errors
+    return abs(change), missed, errors, single
 
 
 def _force_errors(problem: ContactProblem, held: ClosedState, unique: bool) -> tuple[Vector, Vector, float]:

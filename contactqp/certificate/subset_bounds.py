@@ -238,4 +238,5 @@ def _of_all(problem: ContactProblem, candidates: Indices, bounds: Bounds, gap: V
     if bounds.relative_force_bound is not None:
         relative = force * np.sqrt(own_compliance(problem, problem.normal)) / bounds.force_scale
         relative[candidates] = bounds.relative_force_bound
-    return replace(bounds, force_bound=force, relative_force_bound=relative)
+    single = bounds.single and bounds.single.among(problem, (candidates, np.arange(problem.ties)))
+    return replace(bounds, force_bound=force, relative_force_bound=relative, single=single)

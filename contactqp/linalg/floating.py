@@ -2,8 +2,8 @@
 
 The condensed answer on closed contacts B of bodies that may float comes from the null-space method (`NullSpace`;
 Nocedal and Wright 2006, section 16.2): with [E_B; A]' P = Q R, x = Y R^-T (e; a) + N v, N'SN v = N'(r - S Y ...).
-Dependent rows get no force, and unresisted rigid motions of K are zero. `contactqp.linalg.contact_iteration` has the
-motions of bodies that are iterated on.
+Dependent rows get no force, and tell which forces are unique; unresisted rigid motions of K are zero.
+`contactqp.linalg.contact_iteration` has the motions of bodies that are iterated on.
 """
 
 from __future__ import annotations
@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from contactqp.linalg.dense import BALANCED, IDLE, REGULAR, Condensed, DenseCholesky, RigidMotions, orthonormal
+from contactqp.linalg.dense import (
+    BALANCED,
+    IDLE,
+    REGULAR,
+    Condensed,
+    DenseCholesky,
+    RigidMotions,
+    SaddlePoint,
+    orthonormal,
+)
 from contactqp.linalg.equilibration import balancing_factors
 from contactqp.linalg.extended import extend, extended_rows
 from contactqp.linalg.factorization import connected_parts, right_singular
@@ -325,3 +334,30 @@ def imbalance_of_acting(problem: ContactProblem, answer: Answer, rigid: RigidMot
 
 def _largest_outer_force(problem: ContactProblem, answer: Answer) -> float:
     return float(np.max(problem.own_scale * outer_forces(problem, answer), initial=0.0))
+
+
+def unique_forces(condensation: Condensed, saddle: SaddlePoint) -> Mask:
+    """Return whether the force of each contact and tie (m + k,) is unique where a saddle has all closed contacts.
+
+    A dependent row is a sum of independent ones. One of these belongs to it, and has forces of many sizes, where the
+    dependent row is farther from the span of the others than rounding: the weight itself has the rounding of nearly
+    dependent rows.
+
+    Parameters
+    ----------
+    condensation : the Condensation of the problem
+    saddle : the factorised system of the closed contacts, whose rows are redundant
+    """
+    from scipy.linalg import solve_triangular
+
+    rows = np.vstack([condensation.normal, condensation.tie]) * condensation.scale
+    unique = np.ones(len(rows), dtype=bool)
+    held = np.append(saddle.closed, np.arange(len(condensation.normal), len(rows)))
+    unit = rows[held] / np.linalg.norm(rows[held], axis=1, keepdims=True)
+    Q, R = np.linalg.qr(unit[saddle.independent].T)
+    inverse = solve_triangular(R, np.eye(len(R)))
+    weights = inverse @ (Q.T @ np.delete(unit, saddle.independent, axis=0).T)
+    apart = np.max(abs(weights), axis=1, initial=0.0) / np.linalg.norm(inverse, axis=1)
+    unique[held] = False
+    unique[held[saddle.independent]] = apart <= DEPENDENT_IN_ENERGY * max(unit.shape)
+    return unique

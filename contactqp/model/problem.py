@@ -280,8 +280,8 @@ class ContactProblem:
 
         `load_size` (n,) has the sizes behind each entry of the load; `named` rows are the contacts, with their names.
         """
-        names = self.contact_names if named else None
-        kept = dict(contact_names=names, tie_names=None, units=self.units, asymmetry=0.0, rigid_change=0.0)
+        names, ties = (self.contact_names, self.tie_names) if named else (None, None)
+        kept = dict(contact_names=names, tie_names=ties, units=self.units, asymmetry=0.0, rigid_change=0.0)
         frictionless = dict(tangent=None, friction=None, slip_origin=None, dof_names=None, near_null_space=None)
         rows = dict(stiffness=stiffness, normal=csr_rows(normal), tie=csr_rows(tie))
         data = dict(load=load, load_sum=load_size, gap=gap, tie_value=tie_value)

@@ -7,6 +7,7 @@ import pytest
 
 import contactqp as cq
 from benchmarks.judging import bounded, exact_truth
+from contactqp.certificate.bounds import error_failures, force_bound_fails
 from contactqp.certificate.energy_bounds import energy_bounds
 from contactqp.model.solution import Answer
 
@@ -185,3 +186,61 @@ def test_forces_of_ties_without_stiffness_are_judged_beside_redundant_contacts_t
     assert force_error(problem, u, shared, np.array(held)) <= 1e-9
     off = np.array([-7.5e-4, -7.5e-4 * 2.0**-24, 7.5e-4])
     assert force_error(problem, u, shared, np.array(held) + off) >= 1e-6
+
+
+def failed_forces(problem: cq.ContactProblem, u: np.ndarray, pressed: np.ndarray, held: np.ndarray) -> list[str]:
+    """Return the first failure of a certificate, and that of bounds on sparse systems."""
+    bounds = energy_bounds(problem, Answer(u, pressed, None, held))
+    alone = [*error_failures(bounds, 1e-6, 0.0), *(["force_bound"] if force_bound_fails(bounds, 1e-6, 0.0) else [])]
+    return [*cq.certify(problem, u, pressed, tie_force=held).failures[:1], *alone[-1:]]
+
+
+# The bodies feel the ties by a lever of 1e-9; one of two contacts is alone at its unknown.
+LEVER, UNITS = 2.0**-27, [1.0, 2.0**30, 2.0**-30]
+HARDLY_FELT = np.array([[0, 1, 0, 0.5, 0], [0, 1, LEVER, 0.5, 0]])
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("touching", [False, True])
+@pytest.mark.parametrize("kind", ["ties", "contacts"])
+def test_single_forces_that_the_bodies_hardly_feel_are_compared_with_those_that_meet_there(
+    kind: str, touching: bool, unit: float
+) -> None:
+    K, rows, D = np.diag([1.9765625, 0, 8960, 0, 0]), np.eye(5)[[3, 4]], np.array([1, unit, 1, 1, 1 / unit])
+    u, held = np.array([0.5, -0.75, -0.875, -0.375, -0.875]), np.array([1, 0.125])
+    pressed, gap = np.array([0, 0.203125]), rows @ u + np.array([0.0 if touching else 0.5, 0.0])
+    load, value = D * (K @ u + rows.T @ pressed + HARDLY_FELT.T @ held), HARDLY_FELT @ u
+    rows, both, u = rows * D, HARDLY_FELT * D, u / D
+    if kind == "ties":
+        problem = cq.ContactProblem(K, load, rows, gap, tie=both, tie_value=value, tie_names=["left", "right"])
+        judged = [(pressed, held + off) for off in np.outer([0.0, 1e-5, 1e-3, 0.1, -0.1, -1.2], [1, -1])]
+    else:
+        gaps = np.append(gap, value)
+        problem = cq.ContactProblem(K, load, np.vstack([rows, both]), gaps, contact_names=["a", "b", "left", "right"])
+        judged = [(np.append(pressed, held + off), np.zeros(0)) for off in np.outer([0, 1e-5, 1e-3, 0.1], [1, -1])]
+    assert failed_forces(problem, u, *judged[0]) == []
+    for forces in judged[1:]:
+        found = failed_forces(problem, u, *forces)
+        assert len(found) == 2
+        assert any(name in text for name in ("left", "right") for text in found)
+
+
+def test_ties_at_unknowns_without_stiffness_are_judged_singly_beside_one_that_joins_them_to_the_body() -> None:
+    for apart in (2.0**-16, 2.0**-30):
+        K, tie, rows = np.diag([100.0, 0, 0]), np.array([[0, 1, 0.5], [0, 1, 0.5 + apart], [1, 0, 1]]), np.eye(3)[:1]
+        u, held, none = np.array([0.5, -0.25, 0.125]), np.array([1, -0.125, 2.0]), np.zeros(1)
+        load = K @ u + tie.T @ held
+        problem = cq.ContactProblem(K, load, rows, rows @ u + 1, tie=tie, tie_value=tie @ u)
+        assert failed_forces(problem, u, none, held) == []
+        for off in (1e-5, 1e-3, 0.1):
+            found = failed_forces(problem, u, none, held + off * np.array([1, -1, 0]))
+            assert len(found) == 2
+            assert "tie 1" in found[1]
+
+
+def test_rounding_in_a_joint_without_force_is_no_error() -> None:
+    """Two bodies are tied to an unknown without stiffness at which nothing acts."""
+    K, tie, u = np.diag([100.0, 50.0, 0.0]), np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]]), np.full(3, 0.5)
+    problem = cq.ContactProblem(K, K @ u, np.zeros((0, 3)), [], tie=tie, tie_value=[0.0, 0.0])
+    for off in (0.0, 1e-16, 1e-13):
+        assert cq.certify(problem, u, [], tie_force=[off, -off]).passed
