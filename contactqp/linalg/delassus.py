@@ -48,6 +48,8 @@ MUCH, MOST_MEASURED = 1e-6, 2_000_000  # entries of responses whose residuals me
 FIXED_BY_TIES = 1e-13  # ties fix a contact if they reduce its compliance to this part of that without ties
 # The most sweeps of refinement, and the largest relative change of forces in the last one.
 SWEEPS, NEGLIGIBLE, SETTLED = 30, 1e-28, 1e-13
+# Below this part of the forces their changes turn no slip, as its directions in space are rounded to doubles.
+TURNS_NOTHING = 1e-3 * EPS
 DENSE_ROWS, LITTLE = 4, 2.0**24  # copies of the rows that are made at a time, and entries that fit into any memory
 
 
@@ -228,12 +230,17 @@ def velocity_of(problem: LocalProblem, force: Array, joint_force: Vector | None 
 
     Self-equilibrated forces of redundant contacts may be so large that q is lost in doubles.
     """
-    if (computed := problem._of_matrices).extended is None:
-        computed.extended = SparseRows(problem.delassus)
-    u = computed.extended @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
+    u = _extended_delassus(problem) @ extend(np.asarray(force, dtype=float).ravel()) + extend(problem.offset)
     if joint_force is not None and problem.joints:
         u = u + SparseRows(problem.bilateral) @ extend(joint_force)
     return np.asarray(u.double().reshape(problem.contacts, problem.dimension))
+
+
+def _extended_delassus(problem: LocalProblem) -> SparseRows:
+    if (computed := problem._of_matrices).extended is None:
+        computed.extended = SparseRows(problem.delassus)
+    extended: SparseRows = computed.extended
+    return extended
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +255,11 @@ class RefinedForces:
 def refined_forces(problem: LocalProblem, force: Array, status: Status) -> RefinedForces | None:
     """Return the forces in these states (m,) nearest to given ones (m, d), None if the refinement fails."""
     (m, d), closed = force.shape, status != OPEN
-    scale, rows, q = np.repeat(problem.contact_scale, d), SparseRows(problem.delassus), extend(problem.offset)
+    scale, rows, q = np.repeat(problem.contact_scale, d), _extended_delassus(problem), extend(problem.offset)
     own = np.arange(m * d).reshape(m, d)[closed].ravel()
     r, last = extend(np.where(closed[:, None], force, 0.0).ravel()), np.zeros(m * d)
-    before = np.inf
+    turns = d == 3 and bool(np.any((problem.friction > 0) & closed & (status != STICK)))
+    before, negligible = np.inf, TURNS_NOTHING if turns else NEGLIGIBLE
     for _ in range(SWEEPS if len(own) else 0):
         matrix, left = _equations(problem, status, r, (rows @ r + q).double())
         try:
@@ -264,7 +272,7 @@ def refined_forces(problem: LocalProblem, force: Array, status: Status) -> Refin
         last = np.zeros(m * d)
         last[own] = change * scale[own]
         r = r + last
-        if size <= NEGLIGIBLE * whole or (size > 0.5 * before and size <= SETTLED * whole):
+        if size <= negligible * whole or (size > 0.5 * before and size <= SETTLED * whole):
             break
         before = size
     else:
@@ -280,16 +288,18 @@ def _equations(problem: LocalProblem, status: Status, r: Extended, velocity: Vec
     left, matrix = scale * velocity, problem.scaled_delassus.toarray()
     slip = left.reshape(m, d)[:, 1:]
     along = _along(status, slip)
-    Q = _on_the_cone(along, mu)
-    missed = (SparseRows(Q) @ r).double() / scale
+    tangential = np.arange(m * d).reshape(m, d)[:, 1:].ravel()
+    missed = left.copy()
+    missed[tangential] = (r[tangential] + r[::d].spread(mu[:, None] * along)).double() / scale[tangential]
     force = (r.double() / scale).reshape(m, d)
     turning = np.divide(mu * force[:, 0], lengths(slip), out=np.zeros(m), where=(lengths(slip) > 0) & (d == 3))
     across = np.eye(d - 1) - along[:, :, None] * along[:, None, :]
     blocks = matrix.reshape(m, d, m * d)
     for i in np.flatnonzero(_slides_or_is_smooth(status, mu)):
         rows = slice(i * d + 1, (i + 1) * d)
-        turned = turning[i] * across[i] @ blocks[i, 1:] if turning[i] else 0.0
-        matrix[rows] = Q[rows].toarray() + turned
+        matrix[rows] = turning[i] * across[i] @ blocks[i, 1:] if turning[i] else 0.0
+        matrix[rows, rows] += np.eye(d - 1)
+        matrix[rows, i * d] += mu[i] * along[i]
         left[rows] = missed[rows]
     return matrix, left
 
@@ -302,17 +312,6 @@ def _along(status: Status, slip: Array) -> Array:
 def _slides_or_is_smooth(status: Status, mu: Vector) -> Mask:
     """Return the closed contacts (m,) whose friction is known from their normal force."""
     return np.asarray((status != OPEN) & ((status != STICK) | (mu == 0)))
-
-
-def _on_the_cone(along: Array, mu: Vector) -> sp.csr_array:
-    """Return the rows of r_T + mu r_N t (d m, d m); those of the normal forces are empty."""
-    m, width = along.shape
-    d = width + 1
-    tangent = (d * np.arange(m)[:, None] + np.arange(1, d)).ravel()
-    normal = np.repeat(d * np.arange(m), width)
-    values = np.concatenate([np.ones(m * width), (mu[:, None] * along).ravel()])
-    places = np.concatenate([tangent, tangent]), np.concatenate([tangent, normal])
-    return sp.csr_array((values, places), shape=(m * d, m * d))
 
 
 def compliance_of(S: Array, motions: Array) -> Array:

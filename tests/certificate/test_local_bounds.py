@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -151,6 +152,36 @@ def test_in_space_bounds_hold_against_forces_that_problems_are_made_around(skew:
         assert found.scope == "global" or apart < found.radius
     assert claimed["global"] >= 20, claimed
     assert claimed["local"] >= 5, claimed
+
+
+def slipping(W: Any, q: Any, mu: float, near: Any) -> Any:
+    """The forces of one contact that slips in space, to 50 digits: Newton's method with differences of its law."""
+    exact = np.vectorize(Decimal, otypes=[object])
+    W, q, r, size = exact(W), exact(q), exact(near), Decimal("1e-25")
+
+    def law(r: Any) -> Any:
+        u = W @ r + q
+        return np.array([u[0], *(r[1:] + Decimal(mu) * r[0] * u[1:] / (u[1] ** 2 + u[2] ** 2).sqrt())])
+
+    for _ in range(6):
+        slopes = [(law(r + size * unit) - law(r)) / size for unit in exact(np.eye(3))]
+        r = r - exact(np.linalg.solve(np.array(slopes, dtype=float).T, law(r).astype(float)))
+    assert max(abs(law(r))) < Decimal("1e-40")
+    return r
+
+
+@pytest.mark.parametrize("seed", [47, 113, 136])
+def test_slips_that_turn_with_the_last_digits_of_forces_hide_no_unique_forces(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape, q = rng.standard_normal((3, 6)), rng.standard_normal(3) - [2.0, 0.0, 0.0]
+    problem = cq.LocalProblem(shape @ shape.T, q, 0.8, 3)
+    given = cq.solve(problem).force
+    found = cq.certify_local(problem, given)
+    assert found.scope == "global", found.reasons
+    with localcontext(prec=50):
+        right = slipping(problem.delassus.toarray(), q, 0.8, given[0])
+        apart = np.linalg.norm((np.vectorize(Decimal)(given[0]) - right).astype(float))
+    assert apart <= found.force_bound[0] < 1e-14
 
 
 def test_what_is_not_bounded_is_said() -> None:
