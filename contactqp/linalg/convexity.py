@@ -390,10 +390,12 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
     problem : ContactProblem; friction makes no difference
     near : (m,) mask, optional, the contacts that are examined, by default all
     """
-    closed = np.arange(problem.contacts) if near is None else np.flatnonzero(near)
-    closed = closed[np.isfinite(problem.gap[closed])]
+    limited = np.isfinite(problem.gap) if near is None else near & np.isfinite(problem.gap)
+    closed = np.flatnonzero(limited)
+    if not 2 <= len(closed) + problem.ties <= MOST_ROWS or _independent_by_unknowns(problem, limited):
+        return None
     rows = sp.csr_array(sp.vstack([problem.normal[closed], problem.tie]))
-    if not 2 <= rows.shape[0] <= MOST_ROWS or rows.nnz > MOST_ROWS**2:
+    if rows.nnz > MOST_ROWS**2:
         return None
     limit = [Fraction(float(x)) for x in (*problem.gap[closed], *problem.tie_value)]
     parts = np.split(np.arange(rows.nnz), rows.indptr[1:-1])
@@ -405,6 +407,26 @@ def overlap_by_rounding(problem: ContactProblem, near: Mask | None = None) -> st
     overlap, unit = float(1 / max(abs(y) for y in weights)), problem.units.length
     involved = listed([name for name, y in zip(names, weights, strict=True) if y])
     return f"{involved} (weighted) overlap by {overlap:.2g}{' ' + unit if unit else ''}: {DECIDED}"
+
+
+def _independent_by_unknowns(problem: ContactProblem, chosen: Mask) -> bool:
+    """Return whether these contacts (m,) and all ties can be left out one after the other, each as the last that acts
+    on some unknown: then they are independent, and none contradict.
+    """
+    normal, tie = problem.normal, problem.tie
+    owner = np.repeat(np.arange(problem.contacts), np.diff(normal.indptr))
+    counted = chosen[owner]
+    owner = np.concatenate([owner[counted], problem.contacts + np.repeat(np.arange(problem.ties), np.diff(tie.indptr))])
+    unknowns = np.concatenate([normal.indices[counted], tie.indices])
+    if len(np.unique(owner)) < np.count_nonzero(chosen) + problem.ties:
+        return False  # a row is empty
+    while len(owner):
+        alone = np.bincount(unknowns)[unknowns] == 1
+        left = ~np.isin(owner, owner[alone])
+        if left.all():
+            return False
+        owner, unknowns = owner[left], unknowns[left]
+    return True
 
 
 def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> str | None:

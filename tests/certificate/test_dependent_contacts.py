@@ -10,6 +10,9 @@ import pytest
 
 import contactqp as cq
 from contactqp.certificate.admissible_pair import least_forces, least_retreat
+from contactqp.linalg import convexity
+from contactqp.linalg.convexity import overlap_by_rounding
+from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.nonnegative import least_closing
 from contactqp.model.solution import Solution
 
@@ -444,3 +447,41 @@ def test_a_row_written_twice_in_other_units_is_redundant_beside_unknowns_without
         least = np.min(least + abs(levels[:, None] - levels), axis=1) + abs(levels - value)
     assert solution.certificate.proven
     assert solution.energy == pytest.approx(min(least), rel=1e-12)
+
+
+def test_rows_that_unknowns_tell_apart_are_not_eliminated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows that act on unknowns of their own, one after the other, are independent; others are examined still."""
+    asked: list[int] = []
+
+    def counted(rows: Any, limits: Any, signed: int) -> Any:
+        asked.append(len(rows))
+        return contradiction(rows, limits, signed)
+
+    monkeypatch.setattr(convexity, "contradiction", counted)
+    nodes = cq.ContactProblem(4 * np.eye(4), np.ones(4), np.eye(4)[:3], np.zeros(3), tie=[[0, 0, -1.0, 1.0]])
+    assert overlap_by_rounding(nodes) is None
+    squeezed = cq.ContactProblem(np.eye(3), np.ones(3), [[1.0, 0, 1], [-1, 0, -1], [0, 1, 0]], [0.0, -(2.0**-50), 1.0])
+    assert overlap_by_rounding(squeezed, np.array([True, False, True])) is None
+    assert asked == []
+    assert "contact 0, contact 1 (weighted) overlap by 8.9e-16" in str(overlap_by_rounding(squeezed))
+    assert asked == [3]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_of_few_entries_contradict_each_other_as_their_elimination_says(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng, found = np.random.default_rng(seed), {True: 0, False: 0}
+    for _ in range(60):
+        n, m = int(rng.integers(2, 6)), int(rng.integers(1, 5))
+        rows = rng.integers(-1, 2, (m + 1, n)) * (rng.random((m + 1, n)) < 0.6)
+        limits = rng.integers(-1, 2, m + 1).astype(float)
+        rows[np.arange(m + 1), rng.integers(0, n, m + 1)] = 1.0
+        problem = cq.ContactProblem(np.eye(n), np.ones(n), rows[:m], limits[:m], tie=rows[m:], tie_value=limits[m:])
+        near = rng.random(m) < 0.8
+        quickly = overlap_by_rounding(problem, near)
+        with monkeypatch.context() as always:
+            always.setattr(convexity, "_independent_by_unknowns", lambda *_: False)
+            assert quickly == overlap_by_rounding(problem, near)
+        found[quickly is None] += 1
+    assert min(found.values()) >= 3, found
