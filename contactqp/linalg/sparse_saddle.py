@@ -55,8 +55,7 @@ CORRECTIONS = 2
 # correction needs that is refined in doubles.
 HALF_OF_THE_DIGITS = 1e-8
 SOLVED = 2.0**-88  # residuals below this part of the forces and lengths that meet are rounding in extended precision
-# Rows with residuals above this part of the largest length are not satisfied, as they conflict.
-MET = 1e-14
+MET = 1e-14  # rows with residuals above this part of the largest length are not satisfied, as they conflict
 # The same relative to acting forces and imposed lengths, which may be smaller.
 MET_BESIDE_IMPOSED = 1e-10
 NEARLY_MET = 1e-6  # rows with residuals above this part of the largest length contradict each other
@@ -209,14 +208,13 @@ class ClosedState:
     ----------
     problem : the equilibrated problem, in whose units everything here is
     closed : (m,) array of bool, the closed contacts
-    answer : ExtendedAnswer
-    left : Residuals
+    answer, left : ExtendedAnswer, Residuals
     force, length : the largest force that meets at an unknown, the largest length
     force_residual, length_residual : float
         The worst residual of equilibrium, and of closed contacts and ties, relative to these.
     unmet : float
-        The larger of them relative to acting forces, those of load and stiffness, and to imposed lengths and those of
-        the row itself (if no rounding), so that self-equilibrated forces and diverging unknowns hide nothing.
+        The larger of them relative to acting forces, those of load and stiffness, and to lengths imposed or caused by
+        loads and those of the row (if no rounding), so that no self-equilibrated force or diverging unknown hides it.
     in_conflict : bool, whether the search for a vertex without conflicting contacts has failed
     """
 
@@ -263,7 +261,9 @@ class ClosedState:
         missed, unbalanced = abs(np.append(gap, open_tie)), float(abs(force_left).max(initial=0.0))
         unmet = float(missed.max(initial=0.0))
         acting = max(float(strain.max(initial=0.0)), float(problem.load_size.max(initial=0.0)))
-        imposed = float(abs(np.append(problem.gap[closed], problem.tie_value)).max(initial=0.0)) or longest
+        given = float(abs(np.append(problem.gap[closed], problem.tie_value)).max(initial=0.0))
+        caused = float(problem.load_size[problem.diagonal > 0].max(initial=0.0))  # by stiffnesses of at most about one
+        imposed = max(given, caused) if given > 0 else longest
         hidden = max(_part(unbalanced, max(acting, NO_FORCE * longest)), _part(unmet, imposed))
         own, beyond = np.maximum(own, u[problem.diagonal > 0].max(initial=TINY)), missed > FINE * longest
         hidden = max(hidden, float((missed / own)[beyond & (own > MET * imposed)].max(initial=0.0)))

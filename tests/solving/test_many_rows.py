@@ -12,6 +12,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 import contactqp as cq
+from contactqp.elements.material import Material
+from contactqp.elements.shapes import rectangle
+from contactqp.elements.solid import Body
+from contactqp.elements.structure import Structure, Support
 from contactqp.linalg import existence
 from contactqp.solving import sparse_run
 from contactqp.solving.methods import Settings, find
@@ -361,3 +365,34 @@ def test_ten_thousand_constraints_that_conflict_are_refused_without_a_linear_pro
 @pytest.mark.slow
 def test_ten_thousand_constraints_that_nearly_conflict_are_met() -> None:
     assert cq.solve(heated_from_its_border(75, -1e-5)).certificate.proven
+
+
+def test_gaps_that_are_rounding_of_coordinates_are_met_beside_what_loads_cause() -> None:
+    """Sixty blocks on each other, free to slide, whose gaps of 1e-15 are the rounding of their heights."""
+    count, weight = 60, 1e-5
+    blocks = [
+        Body(
+            rectangle(1.0, 0.3, ((7, 5)[i % 2], 2), corner=(0.0, 0.3 * i)),
+            Material(1.0, 0.3),
+            "plane-strain",
+            name=f"b{i}",
+        )
+        for i in range(count)
+    ]
+    structure = Structure(blocks)
+    held = structure.assemble([Support("b0", "bottom", axis) for axis in range(2)])
+    faces = [(structure.surface(f"b{i}", "top"), structure.surface(f"b{i + 1}", "bottom")) for i in range(count - 1)]
+    load = np.zeros(structure.size)
+    load[1::2] = -weight
+    problem = held.problem([cq.pair_mortar(*both) for both in faces]).replace(load=load[held.free])
+    assert 0 < abs(problem.gap).max() < 1e-13
+    found = cq.solve(problem)
+    assert not found.work.routes
+    assert found.work.factorisations <= 5
+    assert found.certificate.proven
+    lifted = np.zeros((structure.size, count - 1))  # all blocks above a joint
+    for i in range(count - 1):
+        lifted[structure.first(f"b{i + 1}") + 1 :: 2, i] = 1.0
+    lifted = lifted[held.free]
+    carried = (problem.normal @ lifted).T @ found.normal_force
+    assert carried == pytest.approx(lifted.T @ problem.load, rel=1e-12)
