@@ -127,20 +127,65 @@ def blocked_either_way(rows: Array) -> Array | None:
 
 
 def unresisted(motions: Array, bodies: Indices, rows: Any) -> Array:
-    """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist.
-
-    Rows may be sparse. The sizes of motions depend on units and stiffness, so rows and bodies are scaled to bring the
-    largest entry of a row on each body times the size of the motion near one, and products are compared with that.
-    """
+    """Return the coordinates (r, q) of the scaled rigid motions (p, r) that scaled rows (k, p) do not resist."""
     coordinates = _orthonormal_by_body(motions)
-    if not rows.shape[0] or not len(coordinates):
-        return coordinates
-    motions = motions @ coordinates
-    of_motion = bodies[np.argmax(abs(motions), axis=0)]
-    felt = _largest_entries(rows, bodies, of_motion)
-    of_row, of_body = balancing_factors(felt * np.linalg.norm(motions, axis=0), of_motion)
-    values, rotation = right_singular(of_row[:, None] * (rows @ motions) * of_body)
-    return np.asarray((coordinates * of_body) @ rotation[int(np.sum(values > UNRESISTED)) :].T)
+    return coordinates @ _unresisted_of(motions @ coordinates, bodies, rows)
+
+
+def _unresisted_of(motions: Any, bodies: Indices, rows: Any) -> Array:
+    """Return the coordinates (r, q) of `unresisted` for orthonormal motions (p, r); they and rows may be sparse.
+
+    The sizes of motions depend on units and stiffness, so rows and bodies are scaled to bring the largest entry of a
+    row on each body times the size of the motion near one, and products are compared with that.
+    """
+    if not rows.shape[0] or not motions.shape[1]:
+        return np.eye(motions.shape[1])
+    of_motion = bodies[np.asarray(abs(motions).argmax(axis=0)).ravel()]
+    of_row, of_body = balancing_factors(_largest_entries(rows, bodies, of_motion), of_motion)
+    moved = rows @ motions
+    moved = moved.toarray() if sp.issparse(moved) else moved
+    values, rotation = right_singular(of_row[:, None] * moved * of_body)
+    return np.asarray(of_body[:, None] * rotation[int(np.sum(values > UNRESISTED)) :].T)
+
+
+def free_of_bodies(motions: Any, bodies: Indices, rows: Any, scale: Vector) -> tuple[Array, Array]:
+    """Return a basis (n, q) of rigid motions that rows do not resist, orthonormal, and one that is so over `scale`.
+
+    They are found body by body and combined in their coordinates, which are far fewer than unknowns.
+
+    Parameters
+    ----------
+    motions : (n, r) sparse array, each of one body
+    bodies : (n,) array of int, the body of each unknown
+    rows : (k, n) sparse array, of closed contacts and ties
+    scale : (n,) array, of the unknowns in the scale of energy
+    """
+    weight = sp.diags(scale)
+    unit = _by_body(sp.diags(1 / scale) @ motions, bodies)
+    along = _unresisted_of(unit, bodies, rows @ weight)
+    stretched = weight @ unit
+    lengths = _by_body(stretched, bodies)
+    of_lengths = orthonormal((lengths.T @ stretched) @ along)
+    return lengths @ of_lengths, stretched @ orthonormal(along)
+
+
+def _by_body(motions: Any, bodies: Indices) -> Any:
+    """Return orthonormal motions (n, r) that span those of each body, sparse like these."""
+    columns = sp.csc_array(motions)
+    columns.eliminate_zeros()
+    of_column = bodies[columns.indices[columns.indptr[:-1]]]
+    alone = np.bincount(of_column)[of_column] == 1  # as an unknown without stiffness is
+    first = sp.coo_array(columns[:, alone])
+    length = np.sqrt(np.bincount(first.col, first.data**2, first.shape[1]))
+    found = [(first.row, np.flatnonzero(alone)[first.col], first.data / length[first.col])]
+    order = np.flatnonzero(~alone)[np.argsort(of_column[~alone], kind="stable")]
+    for some in np.split(order, np.flatnonzero(np.diff(of_column[order])) + 1) if order.size else ():
+        part = columns[:, some]
+        members = np.unique(part.indices)
+        local = sp.coo_array(orthonormal(part[members].toarray()))
+        found.append((members[local.row], some[local.col], local.data))
+    row, column, data = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return sp.csr_array((data, (row, column)), shape=columns.shape)
 
 
 # Unit rows (in the energy scale) are dependent if they are closer to dependence than this.

@@ -15,8 +15,8 @@ from contactqp.linalg.convexity import motions_of_dense
 from contactqp.linalg.dense import orthonormal, saddle_point, unknown_scale
 from contactqp.linalg.equilibration import entries_of, rows_alone, worst_of_neighbours
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows, residuals_of
-from contactqp.linalg.factorization import connected_parts, null_space
-from contactqp.linalg.floating import UNRESISTED, blocked_either_way, unresisted
+from contactqp.linalg.factorization import connected_parts, null_space_by_part
+from contactqp.linalg.floating import UNRESISTED, blocked_either_way, free_of_bodies
 from contactqp.linalg.measures import bodies, lengths_that_meet
 from contactqp.linalg.nonnegative import CARRIES, LESS, by_strict_programs, highs, shift_within_gaps
 from contactqp.linalg.sparse_saddle import (
@@ -74,12 +74,13 @@ def shift_to_least_norm(
     if not condensation.rigid.count:
         return np.zeros(problem.dimension), condensation.rigid.motions
     free = free_motions(condensation, saddle_point(condensation, closed))
-    return _shift_along(problem, free, condensation.unknown_scale, answer)
+    scale = (D := condensation.unknown_scale)[:, None]
+    return _shift_along(problem, (free, scale * orthonormal(free / scale)), D, answer)
 
 
-# The most operations on free motions: the larger of unknowns and rows times the square of their number; and the
-# operations for each of them and each entry of a dense K, whose null space is found in extended precision.
-MOST_MOVED, OF_ENTRIES = 100_000_000, 25
+# The most operations on free motions: the larger of unknowns and rows times the square of their number, or of rows and
+# motions of bodies; and those for each and each entry of a dense K, whose null space is found in extended precision.
+MOST_MOVED, MOST_OF_BODIES, OF_ENTRIES = 100_000_000, 600_000_000, 25
 
 
 def sparse_shift_to_least_norm(problem: ContactProblem, answer: Answer, closed: Indices) -> tuple[Vector, Array]:
@@ -92,22 +93,21 @@ def sparse_shift_to_least_norm(problem: ContactProblem, answer: Answer, closed: 
     bare, dense = np.count_nonzero(problem.diagonal == 0), OF_ENTRIES * problem.stiffness_rows.nnz
     if max(n, rows) * bare**2 > MOST_MOVED or dense * motions_of_dense(problem) > MOST_MOVED:
         return none, none[:, None][:, :0]
-    motions, scale = null_space(problem.stiffness_rows).motions, unknown_scale(problem)
-    if max(n, rows) * motions.shape[1] ** 2 > MOST_MOVED:
+    motions, scale = null_space_by_part(problem.stiffness_rows)[0], unknown_scale(problem)
+    if not (r := motions.shape[1]) or max(r, rows) * r**2 > MOST_OF_BODIES:
         return none, none[:, None][:, :0]
-    held = sp.vstack([problem.normal[closed], problem.tie], format="csr") @ sp.diags(scale)
-    free = orthonormal(motions @ unresisted(motions / scale[:, None], bodies(problem), sp.csr_matrix(held)))
-    return _shift_along(problem, free, scale, answer)
+    held = sp.vstack([problem.normal[closed], problem.tie], format="csr")
+    return _shift_along(problem, free_of_bodies(motions, bodies(problem), held, scale), scale, answer)
 
 
-def _shift_along(problem: ContactProblem, free: Array, scale: Vector, answer: Answer) -> tuple[Vector, Array]:
-    """Return the shift along orthonormal motions (n, q) to the least norm within the gaps, and those not blocked."""
+def _shift_along(
+    problem: ContactProblem, bases: tuple[Array, Array], scale: Vector, answer: Answer
+) -> tuple[Vector, Array]:
+    """Return `shift_to_least_norm` along what both bases (n, q) span, orthonormal and so over the `scale` of energy."""
+    free, basis = bases
     if not free.shape[1]:
         return np.zeros(problem.dimension), free
-    shift = -(free.T @ answer.displacement)
-    rows = problem.normal @ free
-    # Products of rows with motions are compared in the scale of energy, which is independent of units.
-    basis = scale[:, None] * orthonormal(free / scale[:, None])
+    shift, rows = -(free.T @ answer.displacement), problem.normal @ free
     felt = np.sqrt(problem.normal.power(2) @ scale**2)
     stays = np.linalg.norm(problem.normal @ basis, axis=1) > UNRESISTED * felt
     if not stays.any():

@@ -148,6 +148,31 @@ def test_a_chain_over_many_bounds_rests_on_the_first_that_it_meets(decimal: floa
     assert not solution.normal_force.any()
 
 
+def test_free_motions_of_many_bodies_are_listed() -> None:
+    """Eighty blocks on each other, each free to slide: none was listed, and the answer lay anywhere along them."""
+    count = 80
+    shapes = [cq.rectangle(1.0, 0.25, ((7, 5)[i % 2], 2), corner=(0.0, 0.25 * i)) for i in range(count)]
+    blocks = [cq.Body(shape, cq.Material(1.0, 0.3), "plane-strain", name=f"b{i}") for i, shape in enumerate(shapes)]
+    structure = cq.Structure(blocks)
+    held = structure.assemble([cq.Support("b0", "bottom", axis) for axis in range(2)])
+    faces = [(structure.surface(f"b{i}", "top"), structure.surface(f"b{i + 1}", "bottom")) for i in range(count - 1)]
+    load = np.zeros(structure.size)
+    load[1::2] = -1e-5
+    problem = held.problem([cq.pair_mortar(*both) for both in faces]).replace(load=load[held.free])
+    solution = cq.solve(problem)
+    assert solution.certificate.passed
+    motions = np.column_stack([motion.direction for motion in solution.free_motions])
+    slid = np.zeros((structure.size, count - 1))
+    for i in range(count - 1):
+        slid[
+            structure.first(f"b{i + 1}") : structure.first(f"b{i + 1}") + 2 * len(blocks[i + 1].mesh.points) : 2, i
+        ] = 1
+    slid = slid[held.free] / np.linalg.norm(slid, axis=0)
+    assert motions.shape[1] == count - 1
+    assert np.linalg.norm(motions - slid @ (slid.T @ motions)) < 1e-12
+    assert abs(slid.T @ solution.displacement).max() < 1e-13 * np.linalg.norm(solution.displacement)
+
+
 TEXTBOOK = {
     "master-slave": {}, "lagrange-multiplier": {}, "penalty": {"penalty": 2.0**40},
     "perturbed-lagrangian": {"perturbation": 2.0**40}, "augmented-lagrangian": {},
