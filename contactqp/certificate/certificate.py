@@ -34,7 +34,7 @@ from contactqp.certificate.subset_bounds import believed_candidates, bounds_amon
 from contactqp.certificate.uniqueness import Uniqueness, other_forces, uniqueness
 from contactqp.errors import InvalidProblem, refuse_other
 from contactqp.linalg.condensation import Condensation, condense
-from contactqp.linalg.convexity import drive_by_rounding, overlap_by_rounding
+from contactqp.linalg.convexity import drives_by_rounding, overlap_by_rounding
 from contactqp.linalg.dense import RigidMotions
 from contactqp.linalg.extended import Residuals
 from contactqp.linalg.influence import plain_residuals
@@ -173,7 +173,7 @@ class _Measured:
     law: Vector | None  # (m,) the residual of Coulomb's law at each contact; None without friction
     supported: Indices  # contacts that stick where a support carries their friction
     bounds: Bounds
-    driven: str | None  # how loads that balance to rounding only drive a motion that nothing holds
+    driven: tuple[str | None, str | None]  # how loads drive a motion by rounding, with closed and with all contacts
     errors: tuple[str, ...]  # one message for each bound on the whole answer that exceeds its tolerance
     force_bound_fails: bool  # whether the bound on the force of a contact is beyond the tolerance
     grazing: Mask  # (m,) contacts whose gap and force both vanish
@@ -258,7 +258,7 @@ def _measure(
         law=law,
         supported=supported,
         bounds=bounds,
-        driven=drive_by_rounding(problem, rigid.motions, touching) if loose and bounds.proven else None,
+        driven=drives_by_rounding(problem, rigid.motions, touching) if loose and bounds.proven else (None, None),
         errors=(
             *((messages.of_hidden_strain(problem, answer.displacement),) if hidden else ()),
             *error_failures(bounds, error_tolerance, nothing),
@@ -340,8 +340,8 @@ def _verdict(
         notes += messages.of_friction_on_supports(problem, measured.supported)
         notes += messages.of_dependent_ties(problem, measured.dependent)
     claimed = bounds if failures else bounds.claimed(error_tolerance)
-    if claimed.proven and not failures and (measured.driven or problem.contacts + problem.ties > 1):
-        doubt = measured.driven or overlap_by_rounding(problem, found.gap_measure <= tolerance)
+    if claimed.proven and (measured.driven[bool(failures)] or (not failures and problem.contacts + problem.ties > 1)):
+        doubt = measured.driven[bool(failures)] or overlap_by_rounding(problem, found.gap_measure <= tolerance)
         claimed = claimed if doubt is None else no_bounds(doubt)
     return Certificate(
         **figures,

@@ -466,6 +466,12 @@ def drive_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> st
     return f"the loads on a motion that nothing holds balance but for {float(part):.1g} of them: {DECIDED}"
 
 
+def drives_by_rounding(problem: ContactProblem, motions: Array, held: Mask) -> tuple[str | None, str | None]:
+    """Return `drive_by_rounding` with the contacts that an answer closes, and with all: no equilibrium exists then."""
+    found = drive_by_rounding(problem, motions, held)
+    return found, found and drive_by_rounding(problem, motions, np.ones(problem.contacts, dtype=bool))
+
+
 def in_proportion(problem: ContactProblem, unknowns: Index) -> Index:
     """Return binary exponents of units (n,) in which loads on unknowns that nothing touches keep their size.
 

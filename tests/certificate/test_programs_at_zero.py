@@ -203,3 +203,14 @@ def test_a_program_passes_at_bounds_that_carry_the_rounding_of_its_costs(row: li
     for moved in (1e-7, -1e-7):  # which costs, or penetrates
         other = solution.displacement + moved * np.eye(n)[2]
         assert not cq.certify(program, other, solution.normal_force).passed
+
+
+@pytest.mark.parametrize("answer", [[1 / 3, 2 / 3, -1 / 3], [0.5, 0.0, 0.0], [1.0, 0.0, 1.0]])
+def test_a_refused_answer_proves_nothing_where_rounding_of_costs_leaves_no_minimum(answer: list[float]) -> None:
+    """The costs of the first and the last unknown differ by 4e-16, and the energy falls for ever."""
+    program = cq.ContactProblem(
+        np.zeros((3, 3)), [-1.0 - 2.0**-51, 0.0, -1.0], [[-2.0, -1.0, -1.0], [-1.0, 0.0, -1.0]], [-1.0, 0.0]
+    )
+    with pytest.raises(cq.NoEquilibrium):
+        cq.exact(program)
+    assert not cq.certify(program, answer, [0.0, 1.0]).proven
