@@ -460,15 +460,16 @@ class TiedBodies:
 
     def _swept(self, force: Vector) -> tuple[float, float] | None:
         """Return the norm after sweeps of refinement and what further ones may change; None if they do not contract."""
-        K, A, change = self._problem.stiffness_rows, self._problem.tie, np.inf
+        K, A, change, shared = self._problem.stiffness_rows, self._problem.tie, np.inf, np.inf
         force = force - self._units * (self._motions @ (self._motions.T @ (force / self._units)))
         y, nu, left, size = np.zeros(len(force)), np.zeros(self._problem.ties), force, 0.0
         for _ in range(SWEEPS):
             du, _, dn = self._saddle.solve(left, np.zeros(0), -(missed := A @ y))
             tied = self._separated and np.all(abs(missed) <= ROUNDED_RESPONSE * (abs(A) @ abs(y)))
             y, nu, before, change = y + du, nu + dn, change, self._strain(du)
-            left, size = force - K @ y - A.T @ nu, self._strain(y)
-            tied |= np.max(abs(dn), initial=0.0) <= SETTLED * np.max(abs(nu), initial=0.0)
+            left, size, last, shared = force - K @ y - A.T @ nu, self._strain(y), shared, np.max(abs(dn), initial=0.0)
+            creeps = shared > CONTRACTS * min(last, np.max(abs(missed), initial=0.0) / self._saddle.regularisation)
+            tied |= shared <= (ROUNDED_RESPONSE if creeps else SETTLED) * np.max(abs(nu), initial=0.0)
             if (change <= SETTLED * size and tied) or change > CONTRACTS * before:
                 break
         met = np.linalg.norm(left) <= SETTLED * np.linalg.norm(force)

@@ -244,3 +244,26 @@ def test_rounding_in_a_joint_without_force_is_no_error() -> None:
     problem = cq.ContactProblem(K, K @ u, np.zeros((0, 3)), [], tie=tie, tie_value=[0.0, 0.0])
     for off in (0.0, 1e-16, 1e-13):
         assert cq.certify(problem, u, [], tie_force=[off, -off]).passed
+
+
+@pytest.mark.parametrize("unit", [1.0, 2.0**20])
+@pytest.mark.parametrize("exponent", [18, 24, 30])
+def test_a_contact_whose_force_a_tie_carries_does_not_hide_what_its_neighbour_holds(exponent: int, unit: float) -> None:
+    """The tie's force is far larger than what the other tie, nearly parallel, takes of it in every sweep."""
+    n, apart = 6, 2.0**-exponent
+    K = unit * (np.diag([2.0, 34, 34, 2.5, 1, 4.5]) - np.diag(w := [2.0, 32, 2, 0.5, 0.5], 1) - np.diag(w, -1))
+    tie = np.array([[0.0, -1, -1, -1, -1, 0], [apart, 1, 1, 1, 1, 0]]) * np.array([[1000.0], [0.01]])
+    rows = np.array([[0.0, 1, 1 + apart, 1, 1, 0], [2.0, 1, 0, 1, -2, 0], [0.0, 0, 1, 0, -1, -1]])
+    u, pressed, held = (
+        np.array([-2, -2, 4, -3, -3, 4]) / 8,
+        unit * np.array([2.0**20, 0.125, 0.25]),
+        np.array([0, 0.75]),
+    )
+    problem = cq.ContactProblem(K, K @ u + rows.T @ pressed + tie.T @ held, rows, rows @ u, tie=tie, tie_value=tie @ u)
+    truth, _ = exact_truth(problem, None)
+    assert truth is not None
+    u, pressed = truth.rounded()
+    assert len(u) == n
+    for off in ([1.0, 1.25, 1.0], [1.001, 1.0, 1.0], [1.0, 1.0, -1.0]):
+        true = min(truth.errors(u, pressed * off, truth.tie_force).readings["force_error"])
+        assert force_error(problem, u, pressed * off, truth.tie_force) >= (1 - 1e-6) * true > 0
