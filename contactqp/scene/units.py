@@ -154,24 +154,8 @@ class _Reader:
 
 
 COMMON_UNITS = (
-    "m",
-    "mm",
-    "cm",
-    "um",
-    "N",
-    "kN",
-    "MN",
-    "Pa",
-    "kPa",
-    "MPa",
-    "GPa",
-    "kg",
-    "t",
-    "s",
-    "J",
-    "rad",
-    "in",
-    "ft",
+    *("m", "mm", "cm", "um", "in", "ft", "s", "rad"),
+    *("N", "kN", "MN", "Pa", "kPa", "MPa", "GPa", "kg", "t", "J"),
 )
 # The name of a unit with an exponent of one digit, and the sign before it.
 _NAME = re.compile(
@@ -204,7 +188,7 @@ PREFIXES = {
     name: Fraction(10) ** exponent
     for names, exponent in (
         (("nano", "n"), -9),
-        (("micro", "µ", "u"), -6),
+        (("micro", "µ", "μ", "u"), -6),  # the micro sign and the Greek letter, which look alike
         (("milli", "m"), -3),
         (("centi", "c"), -2),
         (("deci", "d"), -1),
@@ -221,6 +205,7 @@ UNITS = {
     name: (Fraction(value), dimension)
     for names, value, dimension in (
         (("meter", "metre", "m"), 1, _LENGTH),
+        (("micron",), Fraction(1, 10**6), _LENGTH),
         (("second", "s"), 1, Dimension(0, 0, 1)),
         (("gram", "g"), Fraction(1, 1000), _MASS),
         (("radian", "rad"), 1, NO_DIMENSION),
@@ -242,7 +227,9 @@ UNITS = {
 }
 # Shorter names have no plural: Pas is not pascal.
 _SHORTEST_PLURAL = 3
-_PLURALS = {"lbs": "lb"}
+_PLURALS = {"lbs": "lb", "inches": "inch", "feet": "foot"}
+# Masses and forces that are taken for each other.
+_WEIGHTS = {"lb": "lbf", "lbs": "lbf", "pound": "lbf", "pounds": "lbf", "kg": "kgf", "lbf": "lb", "kgf": "kg"}
 
 
 @dataclass(frozen=True)
@@ -464,10 +451,18 @@ def _quantity(value: Any, kinds: Sequence[Kind], roots: bool) -> Quantity:
     except NotANumber as error:
         raise NotANumber(f"{value!r}: {error}") from None
     if dimension not in {kind.dimension for kind in kinds}:
+        cure = weight_or_mass(unit, kinds)
         raise NotANumber(
-            f"{value!r}, " + (f"which is {describe_dimension(dimension)}" if unit else "a number without a unit")
+            f"{value!r}, " + (f"which is {describe_dimension(dimension)}{cure}" if unit else "a number without a unit")
         )
     return Quantity(in_range(number * factor, value), dimension, value)
+
+
+def weight_or_mass(unit: str, kinds: Sequence[Kind]) -> str:
+    """Return the unit with weights for masses, or masses for weights, in brackets, or "" if that is of no such kind."""
+    other = re.sub("[a-z]+", lambda word: _WEIGHTS.get(word[0], word[0]), unit)
+    right = other != unit and read_unit(other)[1] in {kind.dimension for kind in kinds}
+    return f" (nearest: {other})" if right else ""
 
 
 def describe_dimension(dimension: Dimension) -> str:

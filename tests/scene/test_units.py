@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contactqp.scene.blocks import UnitNames
 from contactqp.scene.units import KINDS, NotANumber, UnitSystem, read_number, read_quantity, split_number
 
 
@@ -35,6 +36,11 @@ from contactqp.scene.units import KINDS, NotANumber, UnitSystem, read_number, re
         ("2 m ^ 2 / m", "length", F(2)),
         ("1 kip", "force", F(1000) * F(45359237, 10**8) * F(980665, 10**5)),
         ("0.3", "number", F(3, 10)),
+        ("20 microns", "length", F(1, 50000)),
+        ("20 \u00b5m", "length", F(1, 50000)),  # the micro sign
+        ("20 \u03bcm", "length", F(1, 50000)),  # the Greek letter
+        ("10 feet", "length", F(3048, 1000)),
+        ("10 inches", "length", F(254, 1000)),
     ],
 )
 def test_quantities_are_exact(text, kind, value):
@@ -72,6 +78,27 @@ def test_quantities_are_exact(text, kind, value):
 def test_what_is_no_length_is_refused(value, message):
     with pytest.raises(NotANumber, match=f'expected a length such as "2 m", .*{message}'):
         read_quantity(value, [KINDS["length"]])
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "cure"),
+    [
+        ("200 lb", "force", r"which is a mass \(nearest: lbf\)"),
+        ("60 lbs/ft", "force per length", r"\(nearest: lbf/ft\)"),
+        ("5 kg/cm^2", "pressure", r"\(nearest: kgf/cm\^2\)"),
+        ("490 lbf/ft^3", "density", r"\(nearest: lb/ft\^3\)"),
+    ],
+)
+def test_a_mass_in_place_of_a_weight_is_refused_with_the_unit_of_the_weight(value, kind, cure):
+    with pytest.raises(NotANumber, match=cure):
+        read_quantity(value, [KINDS[kind]])
+    with pytest.raises(NotANumber, match=r"which is a mass$"):
+        read_quantity("200 lb", [KINDS["length"]])
+
+
+def test_a_scene_in_pounds_of_mass_is_refused_with_the_unit_of_force():
+    with pytest.raises(ValueError, match=r"force: expected a unit of force, got 'lb' \(nearest: lbf\)"):
+        UnitNames(length="in", force="lb")
 
 
 @pytest.mark.parametrize("value", ["inf", float("inf"), float("nan"), None, "1 m", "3 4"])

@@ -20,7 +20,7 @@ from contactqp.scene.blocks.beams_and_strings import Beam, String
 from contactqp.scene.blocks.element import Divided, Element, Measure
 from contactqp.scene.blocks.matrices import PointMass, StiffnessMatrix
 from contactqp.scene.fields import Block, Name, NodeName
-from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit
+from contactqp.scene.units import KINDS, Quantity, UnitSystem, describe, read_unit, weight_or_mass
 
 
 class UnitNames(Block):
@@ -34,7 +34,8 @@ class UnitNames(Block):
         for kind in ("length", "force"):
             text = getattr(self, kind)
             if read_unit(text)[1] != KINDS[kind].dimension:
-                raise ValueError(f"{kind}: expected a unit of {kind}, got {text!r}")
+                cure = weight_or_mass(text, [KINDS[kind]])
+                raise ValueError(f"{kind}: expected a unit of {kind}, got {text!r}{cure}")
         return self
 
 
