@@ -383,6 +383,8 @@ def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
 
     def words(of: Sequence[Dimension] | None) -> str:
         named = [name for name, (_, dimension) in UNITS.items() if of is None or dimension in of]
+        named += [plural for plural, name in _PLURALS.items() if name in named]
+        named = [name + "s?" * (len(name) >= _SHORTEST_PLURAL and name not in _PLURALS) for name in named]
         return f"({'|'.join(PREFIXES)})?({'|'.join(named)})" if named else ""
 
     power = r"(\s*(\^|\*\*)\s*-?\d|[²³⁴])"

@@ -1,6 +1,7 @@
 """Numbers in a case file are exact, and every one carries a unit of the right dimension."""
 
 import math
+import re
 from fractions import Fraction as F
 
 import pytest
@@ -8,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contactqp.scene.blocks import UnitNames
-from contactqp.scene.units import KINDS, NotANumber, UnitSystem, read_number, read_quantity, split_number
+from contactqp.scene.units import (
+    KINDS,
+    NotANumber,
+    UnitSystem,
+    quantity_pattern,
+    read_number,
+    read_quantity,
+    split_number,
+)
 
 
 @pytest.mark.parametrize(
@@ -129,6 +138,17 @@ def test_units_of_a_scene_convert_and_name():
     assert system.label(KINDS["energy"].dimension) == "kN*mm"
     assert UnitSystem("m", "N").label(KINDS["mass"].dimension) == "N*s^2/m"
     assert system.label(KINDS["number"].dimension) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [("200 kips", "force"), ("3 lbs", "mass"), ("20 microns", "length"), ("2 \u03bcm", "length"), ("3 feet", "length")],
+)
+def test_editors_accept_the_plurals_that_are_read(text, kind):
+    dimension = KINDS[kind].dimension
+    assert read_quantity(text, [KINDS[kind]])
+    assert re.match(quantity_pattern([dimension]), text)
+    assert not re.match(quantity_pattern([dimension]), "3 kNs")
 
 
 @pytest.mark.parametrize(
