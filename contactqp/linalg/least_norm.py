@@ -1,6 +1,4 @@
-"""Minimum-norm displacements along free motions, redundant forces of least sum, and active sets that change by single
-contacts.
-"""
+"""Minimum-norm displacements along free motions, redundant forces of least sum, and active sets of single changes."""
 
 from __future__ import annotations
 
@@ -23,6 +21,7 @@ from contactqp.linalg.sparse_saddle import (
     REGULARISATIONS,
     SIGNED,
     SOLVED,
+    WASTED,
     ClosedState,
     Effort,
     by_pivots,
@@ -389,8 +388,8 @@ NONE_LEFT = 1e-20
 STAYS, STAYS_MORE = 1e6, 1e9
 # The least D and d: beneath, no signs are known.
 LEAST_LENGTH, LEAST_FORCE = 1e-30, 1e-26
-# Products that the changes of all corrections, and the factors at their beginning, may take: some seconds.
-PRODUCTS = 1e10
+# Products that corrections and their first factors may take: some seconds; fewer while other backends may be asked.
+PRODUCTS, AS_A_BACKEND = 1e10, 1e8
 
 
 def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
@@ -413,7 +412,8 @@ def by_corrections(state: ClosedState, effort: Effort) -> ClosedState:
     """
     problem = state.problem
     n, q = problem.dimension, problem.contacts + problem.ties
-    if (n + q) * n**2 > PRODUCTS:
+    if (n + q) * n**2 > (PRODUCTS if effort.wasted >= WASTED else AS_A_BACKEND):
+        effort.cut |= (n + q) * n**2 <= PRODUCTS
         return state
     steps = iter(range(effort.corrected, most := int(PRODUCTS / ((4 * n + q) * n))))
     _, gap, tie = state.left.double(np.flatnonzero(state.closed))
