@@ -84,11 +84,10 @@ from contactqp.certificate.figures import (
 )
 from contactqp.errors import NotConverged
 from contactqp.linalg.condensation import Condensation
-from contactqp.linalg.convexity import SingleErrors, single_errors
 from contactqp.linalg.dense import saddle_point
 from contactqp.linalg.equilibration import affordable_systems
 from contactqp.linalg.extended import Extended, Residuals, extend
-from contactqp.linalg.floating import unique_forces
+from contactqp.linalg.floating import SingleErrors, single_errors, unique_forces
 from contactqp.linalg.least_norm import WITHIN_ROUNDING
 from contactqp.linalg.measures import force_size, intrinsic_size, lengths_that_meet, of_rows, own_compliance, parts
 from contactqp.linalg.refinement import CAUTION, OnSet, closed_contacts, polish

@@ -44,10 +44,8 @@ from contactqp.linalg.convexity import (
     DECIDED,
     DEFINITE,
     REGULAR,
-    SingleErrors,
     StiffnessFactor,
     diagonal_dominance,
-    single_errors,
     stiffness_factor,
 )
 from contactqp.linalg.dense import RigidMotions
@@ -62,6 +60,7 @@ from contactqp.linalg.equilibration import (
     rows_alone,
 )
 from contactqp.linalg.extended import ExtendedAnswer, extend, extended_rows
+from contactqp.linalg.floating import SingleErrors, single_errors
 from contactqp.linalg.interior_point import settled, solved_from, without_conflict
 from contactqp.linalg.least_norm import WITHIN_ROUNDING, by_corrections, by_last_closings, without_needless_forces
 from contactqp.linalg.measures import NOTHING_BY_DEFAULT, bodies, own_compliance, row_sizes

@@ -6,7 +6,6 @@ such rows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -21,10 +20,10 @@ from contactqp.linalg.dense import DENSE_SIZE
 from contactqp.linalg.exact_algebra import contradiction
 from contactqp.linalg.extended import SparseRows, extend, extended_rows
 from contactqp.linalg.factorization import SuperLU, connected_parts, right_singular, with_added_diagonal
-from contactqp.linalg.measures import given_on, parts, reciprocal, row_sizes, scale_through_rows, untouched
+from contactqp.linalg.measures import untouched
 from contactqp.linalg.nonnegative import DEPENDENT_ROWS
 from contactqp.linalg.schur import LARGE, factorised, with_pivots
-from contactqp.model.arrays import EPS, Array, Index, Indices, Mask, Vector
+from contactqp.model.arrays import EPS, Array, Index, Mask, Vector
 from contactqp.model.names import listed
 from contactqp.model.problem import ContactProblem
 from contactqp.model.problem_data import BUCKLED
@@ -49,8 +48,6 @@ MET = 1e-3
 STEPS = 15
 # The most rigid motions of a body, and pivots of K with a unit diagonal below which a motion has no energy.
 RIGID_MOTIONS, NO_ENERGY = 6, 1e-13
-# Forces that meet at an unknown without stiffness are rounding up to this part of the forces of the problem.
-ROUNDED_FORCES = 4 * EPS
 
 
 def motions_of_dense(problem: ContactProblem) -> int:
@@ -251,68 +248,6 @@ def are_independent(rows: Any) -> bool:
         return False
     motion = solve(np.concatenate([np.zeros(n), gaps]))[:n]
     return bool(np.all(abs(motion) * DEPENDENT_ROWS < 1) and np.all(abs(unit @ motion - gaps) < MET))
-
-
-@dataclass(frozen=True, eq=False)
-class SingleErrors:
-    """Errors of the forces of contacts and ties, one by one, measured as the largest force is."""
-
-    felt: Vector  # (m + k,) |d_i| |E_i D| [square root of energy]
-    largest: Vector  # (m + k,) the largest |l_j*| |E_j D| of those that row i may be compared with
-    at_bare: Vector  # (m + k,) |d_i| over the forces that meet at an unknown without stiffness
-    problem: ContactProblem  # with m contacts, k ties and their names
-
-    @property
-    def parts(self) -> Vector:
-        """The errors (m + k,) over the largest force, one where all forces are zero."""
-        return np.divide(self.felt, self.largest, out=np.ones(len(self.felt)), where=self.largest > 0)
-
-    @property
-    def of_bare_contacts(self) -> Vector:
-        """The errors (m,) of contacts at unknowns without stiffness, over the largest force and what meets there."""
-        return np.minimum(self.parts, self.at_bare)[: self.problem.contacts]
-
-    def nothing(self, tolerance: float, rounding: float, size: float) -> Vector:
-        """Return the size (m + k,) of no error: rounding if it counts at an unknown that rows hardly join to bodies."""
-        return np.where(self.at_bare > tolerance, rounding, max(rounding, size))
-
-    def worst_tie(self, tolerance: float, rounding: float, size: float) -> tuple[str, float] | None:
-        """Return the tie with the largest error beyond the tolerance and `nothing`, over the largest force, or None."""
-        off = self.felt > np.maximum(tolerance * self.largest, self.nothing(tolerance, rounding, size))
-        parts = np.where(off, self.parts, 0.0)[self.problem.contacts :]
-        return (self.problem.tie_name(i := int(np.argmax(parts))), float(parts[i])) if parts.any() else None
-
-    def among(self, whole: ContactProblem, places: tuple[Indices, Indices], others: Any = None) -> SingleErrors:
-        """Return the errors of contacts and ties at some places of a problem among its rows, elsewhere 0 or others."""
-        every = np.zeros((3, whole.contacts + whole.ties))
-        every[:] = 0.0 if others is None else (others.felt, others.largest, others.at_bare)
-        every[:, np.append(places[0], whole.contacts + places[1])] = self.felt, self.largest, self.at_bare
-        return SingleErrors(every[0], every[1], every[2], whole)
-
-
-def single_errors(problem: ContactProblem, errors: Vector, forces: Vector) -> SingleErrors:
-    """Measure errors with D = 1/sqrt(K_jj), and for unknowns without stiffness the largest scale that rows give them.
-
-    Rows of parts without any stiffness are compared with those of their part. `errors` and `forces` (m + k,) are those
-    of contacts and ties of the `problem`, the latter the true ones.
-    """
-    m, pair = problem.contacts, (problem.normal, problem.tie)
-    pushing, held = (row_sizes(problem, rows) for rows in pair)
-    if problem.diagonal.all():
-        felt = np.sqrt(np.append(pushing.compliance, held.compliance))
-        largest = np.full(len(felt), np.max(felt * abs(forces), initial=0.0))
-        return SingleErrors(felt * errors, largest, np.zeros(len(felt)), problem)
-    bare, D = problem.diagonal == 0, scale_through_rows(problem)
-    scale = given_on(problem, np.where(bare, 0.0, problem.own_scale), np.maximum)
-    apart = np.where(scale == 0, 1 + parts(problem), 0)
-    first = np.concatenate([np.append(rows.indices, 0)[rows.indptr[:-1]] for rows in pair])
-    felt = np.sqrt(np.concatenate([rows.power(2) @ np.where(scale == 0, 1.0, scale) ** 2 for rows in pair]))
-    np.maximum.at(largest := np.zeros(int(apart.max(initial=0)) + 1), apart[first], felt * abs(forces))
-    meeting = pushing.forces(abs(forces[:m])) + held.forces(abs(forces[m:])) + problem.load_size
-    size = max(largest[0], float(np.max(D * problem.load_size, initial=0.0)))
-    meeting = np.where(bare & (meeting > ROUNDED_FORCES * size * reciprocal(D)), meeting, np.inf)
-    at_bare = np.append(pushing.measure(errors[:m], meeting), held.measure(errors[m:], meeting))
-    return SingleErrors(felt * errors, largest[apart[first]], at_bare, problem)
 
 
 # The regularisation of the minimum-norm equations with unit rows, removed by refinement.
