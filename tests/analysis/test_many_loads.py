@@ -13,7 +13,6 @@ import contactqp as cq
 from contactqp.analysis import many_loads
 from contactqp.linalg.exact_algebra import dot, solutions
 from contactqp.linalg.influence import NEIGHBOURS, SolvedCases
-from tests.clocks import Clock
 
 BAR = cq.ContactProblem([[157500.0]], [0.0], [[1.0]], [1e-3], units={"length": "m", "force": "kN"})
 
@@ -500,29 +499,3 @@ def test_many_cases_of_two_unknowns_are_proven_together() -> None:
     np.testing.assert_allclose(many.normal_force[:, 0], exact, atol=1e-12 * exact.max())
     assert np.all(abs(many.normal_force[:, 0] - exact) <= many.force_bound[:, 0] + 1e-13 * exact.max())
     assert cq.solve_many(bars, loads=many[1].problem.load[None]).work.routes == ()
-
-
-def test_a_time_limit_is_that_of_all_cases(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of the cases may have held a limit of its own, and all of them taken as many times as long."""
-    bar, solved = cq.ContactProblem([[2.0]], [0.0], [[1.0]], [1.0]), many_loads.solve
-
-    def slowly(*arguments: object, **options: object) -> cq.Solution:
-        found = solved(*arguments, **options)
-        clock.passes(60.0)
-        return found
-
-    monkeypatch.setattr(many_loads, "solve", slowly)
-    many = cq.solve_many(bar, loads=[[float(i)] for i in range(5)], time_limit=100.0)
-    assert many.passed.tolist() == [True, True, False, False, False]
-    assert many.failures[4] == "stopped at the time limit of 100 s, before this case was solved"
-    assert np.isnan(many.normal_force[4]).all()
-    with pytest.raises(cq.InvalidProblem, match="time_limit"):
-        cq.solve_many(bar, loads=[[1.0]], time_limit=-1.0)
-
-
-def test_influence_functions_are_used_with_a_time_limit_too() -> None:
-    """Each case was solved by itself: thirty times as long as without a limit."""
-    bar = cq.ContactProblem([[2.0]], [0.0], [[1.0]], [1.0])
-    many = cq.solve_many(bar, loads=0.5 + np.arange(float(many_loads.MANY_CASES))[:, None], time_limit=600.0)
-    assert many.passed.all()
-    assert many.work.routes == (f"influence functions: {many_loads.MANY_CASES} of {many_loads.MANY_CASES} cases",)

@@ -1,4 +1,4 @@
-"""Paths, motions and large deformations look at the clock before each step, and return the steps that were in time."""
+"""Paths, motions, large deformations and many load cases look at the clock before each step and return what is done."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import contactqp as cq
-from contactqp.analysis import friction_events, friction_path, history, load_path
+from contactqp.analysis import friction_events, friction_path, history, load_path, many_loads
 from contactqp.analysis.large import constrained_newton, path_equations
 from contactqp.analysis.motion import time_stepping
+from tests.clocks import Clock
 from tests.solving.friction.problems import rough_truss
 
 BARS = cq.ContactProblem(
@@ -93,3 +94,29 @@ def test_a_time_limit_is_that_of_the_call_and_not_of_each_step(name: str) -> Non
     assert len(caught.value.history) < 40_000
     with pytest.raises(cq.InvalidProblem, match="time_limit"):
         cq.follow_path(BARS, [BARS.load], time_limit=-1.0)
+
+
+def test_a_time_limit_is_that_of_all_cases(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of the cases may have held a limit of its own, and all of them taken as many times as long."""
+    bar, solved = cq.ContactProblem([[2.0]], [0.0], [[1.0]], [1.0]), many_loads.solve
+
+    def slowly(*arguments: object, **options: object) -> cq.Solution:
+        found = solved(*arguments, **options)
+        clock.passes(60.0)
+        return found
+
+    monkeypatch.setattr(many_loads, "solve", slowly)
+    many = cq.solve_many(bar, loads=[[float(i)] for i in range(5)], time_limit=100.0)
+    assert many.passed.tolist() == [True, True, False, False, False]
+    assert many.failures[4] == "stopped at the time limit of 100 s, before this case was solved"
+    assert np.isnan(many.normal_force[4]).all()
+    with pytest.raises(cq.InvalidProblem, match="time_limit"):
+        cq.solve_many(bar, loads=[[1.0]], time_limit=-1.0)
+
+
+def test_influence_functions_are_used_with_a_time_limit_too() -> None:
+    """Each case was solved by itself: thirty times as long as without a limit."""
+    bar = cq.ContactProblem([[2.0]], [0.0], [[1.0]], [1.0])
+    many = cq.solve_many(bar, loads=0.5 + np.arange(float(many_loads.MANY_CASES))[:, None], time_limit=600.0)
+    assert many.passed.all()
+    assert many.work.routes == (f"influence functions: {many_loads.MANY_CASES} of {many_loads.MANY_CASES} cases",)
