@@ -161,17 +161,20 @@ def driven_in_cones(
     unit : gives unit rows of coordinates
     slips : those (m, 2) along coordinates; None in the plane and without friction, where polygons are exact
     """
-    resisting, sides = rows_at(None, True), None
-    coordinates = driven_coordinates(drive, unit(resisting), tie)
-    for polygon in range(POLYGONS if slips is not None and coordinates is None else 0):
-        outer = driven_coordinates(drive, unit(rows_at(sides, False)), tie, HARDLY_DRIVEN)
-        if outer is None or slips is None:
+
+    def steepest(sides: Array | None, within: bool, least: float) -> tuple[Array | None, Any]:
+        return driven_coordinates(drive, unit(rows := rows_at(sides, within)), tie, least), rows
+
+    if slips is None:
+        return steepest(None, True, DRIVEN)
+    outer = steepest(None, False, HARDLY_DRIVEN)[0]  # in most problems there is none
+    found = (None, None) if outer is None else steepest(None, True, DRIVEN)
+    for polygon in range(POLYGONS):
+        if found[0] is not None or outer is None:
             break
-        resisting = rows_at(sides_from(slips(outer)), True)
-        if (coordinates := driven_coordinates(drive, unit(resisting), tie, HARDLY_DRIVEN)) is not None:
-            break
-        sides = sides_nearby(slips(outer), 2 * polygon // POLYGONS)
-    return coordinates, resisting
+        found = steepest(sides_from(slips(outer)), True, HARDLY_DRIVEN)
+        outer = steepest(sides_nearby(slips(outer), 2 * polygon // POLYGONS), False, HARDLY_DRIVEN)[0]
+    return found
 
 
 def _stated_ahead(problem: ContactProblem) -> Iterator[Vector]:
@@ -193,8 +196,7 @@ def driven_coordinates(drive: Vector, normal: Array, tie: Array, least: float = 
     drive, normal, tie : (r,), (m, r) and (k, r) arrays, the work of the load on each motion, and unit rows
     least : the part of |drive|'|a| that drive'a must exceed
     """
-    coordinates = _steepest(drive, normal, tie)
-    if coordinates is None:
+    if (coordinates := _steepest(drive, normal, tie)) is None:
         return None
     coordinates = _without_artefacts(coordinates, normal, tie)
     return coordinates if drive @ coordinates > least * (abs(drive) @ abs(coordinates)) else None

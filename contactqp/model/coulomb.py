@@ -97,12 +97,17 @@ def resisting_rows(problem: Any, sides: Array | None = None, within: bool = True
     if not problem.frictional or problem.tangent is None or problem.friction is None or problem.slip_origin is None:
         return problem.normal
     width, rough = problem.slip_origin.shape[1], np.flatnonzero(problem.friction > 0)
-    across = sp.diags(np.repeat(problem.friction, width)) @ problem.tangent
-    parts = [problem.normal[problem.friction <= 0]]
-    for direction in corners(len(rough), width, None if sides is None else sides[rough], within):
-        along = sum(sp.diags(direction[:, k]) @ across[width * rough + k] for k in range(width))
-        parts.append(problem.normal[rough] + along)
-    return sp.csr_matrix(sp.vstack(parts))
+    directions = corners(len(rough), width, None if sides is None else sides[rough], within)
+    weights = np.concatenate([problem.friction[rough, None] * directions, np.ones((*directions.shape[:2], 1))], axis=2)
+    tangential = width * rough[:, None] + np.arange(width)
+    places = np.column_stack([tangential, len(problem.slip_origin) * width + rough])
+    count = len(directions)
+    combine = sp.csr_matrix(
+        (weights.ravel(), np.tile(places.ravel(), count), np.arange(0, weights.size + 1, width + 1)),
+        shape=(count * len(rough), (width + 1) * len(problem.slip_origin)),
+    )
+    resisting = combine @ sp.vstack([problem.tangent, problem.normal], format="csr")
+    return sp.csr_matrix(sp.vstack([problem.normal[problem.friction <= 0], resisting]))
 
 
 def corners(contacts: int, width: int, sides: Array | None = None, within: bool = True) -> Array:
