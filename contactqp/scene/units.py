@@ -207,6 +207,7 @@ UNITS = {
         (("meter", "metre", "m"), 1, _LENGTH),
         (("micron",), Fraction(1, 10**6), _LENGTH),
         (("second", "s"), 1, Dimension(0, 0, 1)),
+        (("minute", "min"), 60, Dimension(0, 0, 1)),  # not a thousandth of an inch
         (("gram", "g"), Fraction(1, 1000), _MASS),
         (("radian", "rad"), 1, NO_DIMENSION),
         (("newton", "N"), 1, _FORCE),
@@ -385,7 +386,9 @@ def quantity_pattern(dimensions: Sequence[Dimension]) -> str:
         named = [name for name, (_, dimension) in UNITS.items() if of is None or dimension in of]
         named += [plural for plural, name in _PLURALS.items() if name in named]
         named = [name + "s?" * (len(name) >= _SHORTEST_PLURAL and name not in _PLURALS) for name in named]
-        return f"({'|'.join(PREFIXES)})?({'|'.join(named)})" if named else ""
+        taken = [name for name in UNITS if name[:1] in PREFIXES and name[1:] in named and name not in named]
+        other = f"(?!({'|'.join(taken)})$)" if taken else ""  # a unit of its own, as min beside m and in
+        return f"{other}({'|'.join(PREFIXES)})?({'|'.join(named)})" if named else ""
 
     power = r"(\s*(\^|\*\*)\s*-?\d|[²³⁴])"
     allowed = [rf"{words(None)}{power}?(\s*[*/ ]\s*{words(None)}{power}?)+", words(dimensions)]

@@ -50,6 +50,8 @@ from contactqp.scene.units import (
         ("20 \u03bcm", "length", F(1, 50000)),  # the Greek letter
         ("10 feet", "length", F(3048, 1000)),
         ("10 inches", "length", F(254, 1000)),
+        ("3 min", "time", F(180)),
+        ("30 rad/min", "angular velocity", F(1, 2)),
     ],
 )
 def test_quantities_are_exact(text, kind, value):
@@ -103,6 +105,12 @@ def test_a_mass_in_place_of_a_weight_is_refused_with_the_unit_of_the_weight(valu
         read_quantity(value, [KINDS[kind]])
     with pytest.raises(NotANumber, match=r"which is a mass$"):
         read_quantity("200 lb", [KINDS["length"]])
+
+
+def test_minutes_are_no_length():
+    with pytest.raises(NotANumber, match="time"):
+        read_quantity("3 min", [KINDS["length"]])
+    assert not re.match(quantity_pattern([KINDS["length"].dimension]), "3 min")
 
 
 def test_a_scene_in_pounds_of_mass_is_refused_with_the_unit_of_force():
