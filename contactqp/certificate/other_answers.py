@@ -62,9 +62,9 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
     of = (problem.load, problem.gap, problem.tie_value, problem.friction, problem.slip_origin)
     cached = problem._computed.several_answers
     if cached is None or any(mine is not other for mine, other in zip(of, cached[0], strict=True)):
-        several, status = _several_answers(problem, condensation, DOUBTFUL)
+        several, status, by_forces = _several_answers(problem, condensation, DOUBTFUL)
         if several and _is_small(problem, len(status)):
-            several = _exactly_several(problem, status) or None
+            several = _exactly_several(problem, status) or (False if by_forces else None)
         elif several:
             several = _several_answers(problem, condensation, SURE)[0] or None
         cached = problem._computed.several_answers = of, several
@@ -74,9 +74,9 @@ def several_answers(problem: ContactProblem, condensation: Condensation) -> bool
 
 def _several_answers(
     problem: ContactProblem, condensation: Condensation, doubtful: float
-) -> tuple[bool | None, NDArray[np.int8]]:
-    """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are; and the
-    combinations (c, m) that may have them.
+) -> tuple[bool | None, NDArray[np.int8], bool]:
+    """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are; the
+    combinations (c, m) that may have them; and whether only forces differ, which ties may carry.
 
     Parameters
     ----------
@@ -107,18 +107,18 @@ def _several_answers(
         if signs.may_hold:
             loose[b] = signs
     if len(loose) > MOST_LOOSE:
-        return None, status
+        return None, status, False
     for signs in loose.values():
         if (extremes := signs.extremes()) is None:
-            return None, status
+            return None, status, False
         found += [_Found(one, None, False, 0.0) for one in extremes]
     asked = status[[*np.flatnonzero(held), *loose]]
     if doubtful <= SURE:
-        return _surely_several(system, found), asked
+        return _surely_several(system, found), asked, False
     if len(found) < 2:
-        return False, asked
-    apart, pushed = system.apart(found[0], found[1:]), system.pushed_apart(problem, found[0], found[1:])
-    return any(far is not False or unlike for far, unlike in zip(apart, pushed, strict=True)), asked
+        return False, asked, False
+    apart = any(far is not False for far in system.apart(found[0], found[1:]))
+    return apart or any(system.pushed_apart(problem, found[0], found[1:])), asked, not apart
 
 
 def _least(matrix: Array, right: Vector) -> tuple[Vector, Array]:

@@ -186,3 +186,34 @@ def test_a_load_at_the_limit_of_friction_to_its_last_digit_leaves_the_question_o
     )
     assert judged.passed
     assert judged.uniqueness == (POSSIBLE,)
+
+
+@pytest.mark.parametrize("soft", [2.0**-20, 2.0**-40, 2.0**-46])
+def test_soft_springs_hide_no_other_answer(soft: float) -> None:
+    """Either contact sticks while the other is open: forces differ, and displacements by less than what springs let."""
+    normal = np.array([[-1.5, -0.5, 1.0, 1.5], [1.0, 0.0, 1.0, 0.0]])
+    tangent = np.array([[-1.5, -0.5, -1.0, 0.5], [-1.0, 0.0, 1.0, 0.0]])
+    problem = cq.ContactProblem(
+        np.diag([soft, 2.0, soft, 2.0**30]), [-2.25, -1.5, 2.75, -(2.0**30)], normal, [0.25, -0.5],
+        tangent=tangent, friction=10.0, slip_origin=[1.25, 1.0],
+    )  # fmt: skip
+    assert len({tuple(one.displacement) for one in cq.exact_equilibria(problem)}) == 2
+    assert cq.solve(problem).certificate.uniqueness == (SEVERAL,)
+
+
+def test_redundant_contacts_are_no_several_answers() -> None:
+    """Two contacts at one place share a force as they like, at the border of stick and slip of one of them."""
+    problem = cq.ContactProblem(
+        np.diag([2.0, 2.0]), [0.5, 1.0], [[0.0, 1.0], [0.0, 1.0]], [0.0, 0.0], tangent=[[1.0, 0.0], [1.0, 0.0]],
+        friction=[0.5, 0.75],
+    )  # fmt: skip
+    assert SEVERAL not in cq.solve(problem).certificate.uniqueness
+
+
+def test_friction_that_a_tie_may_carry_instead_is_no_other_answer() -> None:
+    """The contacts rub along an unknown that a tie holds: which of them carries how much changes no displacement."""
+    stiffness = [[14.0, -2.0, 4.0], [-2.0, 3.0, -1.0], [4.0, -1.0, 8.0]]
+    rows = dict(tangent=[[0.0, 1.0, 0.0]] * 2, friction=[0.5, 0.25], tie=[[0.0, 1.0, 0.0]], tie_value=[0.0])
+    problem = cq.ContactProblem(stiffness, [1.0, -3.0, 4.0], [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [0.25, 0.0], **rows)
+    assert len({tuple(one.displacement) for one in cq.exact_equilibria(problem)}) == 1
+    assert cq.solve(problem).certificate.uniqueness == (FORCES,)

@@ -472,25 +472,3 @@ def test_the_note_says_why_no_bound_covers_the_bodies() -> None:
     normal, tangent = np.repeat(-up, 2, axis=0), np.repeat(along, 2, axis=0)
     sprung = cq.ContactProblem(5.0 * np.eye(2 * n), weights, normal, np.zeros(2 * n), tangent, friction=0.3)
     assert "(rows of contacts depend on each other, which no bound covers" in str(cq.solve(sprung).certificate.notes)
-
-
-@pytest.mark.parametrize("soft", [2.0**-20, 2.0**-40, 2.0**-46])
-def test_soft_springs_hide_no_other_answer(soft: float) -> None:
-    """Either contact sticks while the other is open: forces differ, and displacements by less than what springs let."""
-    normal = np.array([[-1.5, -0.5, 1.0, 1.5], [1.0, 0.0, 1.0, 0.0]])
-    tangent = np.array([[-1.5, -0.5, -1.0, 0.5], [-1.0, 0.0, 1.0, 0.0]])
-    problem = cq.ContactProblem(
-        np.diag([soft, 2.0, soft, 2.0**30]), [-2.25, -1.5, 2.75, -(2.0**30)], normal, [0.25, -0.5],
-        tangent=tangent, friction=10.0, slip_origin=[1.25, 1.0],
-    )  # fmt: skip
-    assert len({tuple(one.displacement) for one in cq.exact_equilibria(problem)}) == 2
-    assert cq.solve(problem).certificate.uniqueness == (SEVERAL,)
-
-
-def test_redundant_contacts_are_no_several_answers() -> None:
-    """Two contacts at one place share a force as they like, at the border of stick and slip of one of them."""
-    problem = cq.ContactProblem(
-        np.diag([2.0, 2.0]), [0.5, 1.0], [[0.0, 1.0], [0.0, 1.0]], [0.0, 0.0], tangent=[[1.0, 0.0], [1.0, 0.0]],
-        friction=[0.5, 0.75],
-    )  # fmt: skip
-    assert SEVERAL not in cq.solve(problem).certificate.uniqueness
