@@ -340,18 +340,7 @@ class AtMost(_Bound):
 class AtLeast(_Bound):
     """The constraint form(u) >= bound; its force is the multiplier, not negative, that acts against decrease.
 
-    Parameters
-    ----------
-    name : str
-    form : mapping from names of unknowns to factors
-        form(u) is the sum of factors times unknowns.
-    bound : float
-        In the unit of the form.
-
-    Raises
-    ------
-    InvalidProblem
-        `form` is no such mapping, or `bound` is not a number.
+    Parameters and errors are those of `AtMost`.
     """
 
     def contribution(self) -> Contribution:
