@@ -76,7 +76,8 @@ def _several_answers(
     problem: ContactProblem, condensation: Condensation, doubtful: float
 ) -> tuple[bool | None, NDArray[np.int8], bool]:
     """Return whether there may be several answers, or with `doubtful` of at most `SURE`, whether there are; the
-    combinations (c, m) that may have them; and whether only forces differ, which ties may carry.
+    combinations (c, m) that may have them; and whether only forces differ, which ties may carry. With ties, forces are
+    compared only where rational numbers can decide.
 
     Parameters
     ----------
@@ -118,6 +119,8 @@ def _several_answers(
     if len(found) < 2:
         return False, asked, False
     apart = any(far is not False for far in system.apart(found[0], found[1:]))
+    if not apart and problem.ties and not _is_small(problem, len(asked)):
+        return False, asked, False
     return apart or any(system.pushed_apart(problem, found[0], found[1:])), asked, not apart
 
 
@@ -348,10 +351,8 @@ class _Systems:
 
         Bodies are then displaced differently, even where that is lost in the rounding of displacements without
         contacts, as where a soft spring lets a body go far. Ties may carry a difference as redundant contacts do, which
-        only the rational numbers of small problems decide; in others the displacements alone are compared.
+        only the rational numbers of small problems decide.
         """
-        if problem.tangent is None or (problem.ties and problem.dimension + problem.ties > MOST_EXACT):
-            return [False] * len(others)
         rows, differs = sp.vstack([problem.normal, problem.tangent]), list[bool]()
         for other in others:
             off = np.inf if one.off_force is None or other.off_force is None else one.off_force + other.off_force
